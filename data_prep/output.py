@@ -1,0 +1,85 @@
+"""Outputs appear whole or not at all: written beside their place, then moved there."""
+
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from data_prep.errors import BadInput
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(f".{path.stem}.{secrets.token_hex(4)}.part{path.suffix}")
+
+
+def check_output(path: Path, *, force: bool = False) -> None:
+    """Refuse an output path that cannot be written, before any work is done for it.
+
+    Raises:
+        BadInput: the parent is missing or not writable, or the output exists without `force`.
+    """
+    path = Path(path)
+    parent = path.absolute().parent
+    if not parent.is_dir():
+        raise BadInput(f"{path}: the folder {parent} does not exist; make it first")
+    if path.exists() and not force:
+        raise BadInput(f"{path}: exists already; give another name or --force")
+    probe = _beside(path)
+    try:
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise BadInput(f"{path}: cannot write there ({error.strerror})") from error
+
+
+@contextmanager
+def whole_file(path: Path, *, force: bool = False) -> Iterator[Path]:
+    """Yield a temporary path in the folder of `path`; it becomes `path` if the block succeeds.
+
+    Args:
+        path: the file to make.
+        force: replace an existing file.
+
+    Raises:
+        BadInput: as `check_output`.
+    """
+    path = Path(path)
+    check_output(path, force=force)
+    if path.is_dir():
+        raise BadInput(f"{path}: is a folder; name a file")
+    part = _beside(path)
+    try:
+        yield part
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@contextmanager
+def whole_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
+    """Yield a new empty folder beside `path`; it becomes `path` if the block succeeds.
+
+    Args:
+        path: the folder to make.
+        force: replace an existing folder.
+
+    Raises:
+        BadInput: as `check_output`.
+    """
+    path = Path(path)
+    check_output(path, force=force)
+    part = _beside(path)
+    part.mkdir()
+    try:
+        yield part
+        if path.exists():
+            old = _beside(path)
+            os.replace(path, old)
+            os.replace(part, path)
+            shutil.rmtree(old)
+        else:
+            os.replace(part, path)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)

@@ -1,0 +1,1 @@
+"""The renderer: unsupervised region motion (MRAA) and the image generator."""
