@@ -1,0 +1,99 @@
+"""2x2 algebra of regions: affine from covariance, inverses, the sign fix; always float32."""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+def inverse(matrix: Tensor) -> Tensor:
+    """Closed-form inverse of (..., 2, 2) matrices; singular ones give infinities."""
+    a, b, c, d = matrix.flatten(-2).unbind(-1)
+    adjugate = torch.stack([d, -b, -c, a], dim=-1).unflatten(-1, (2, 2))
+    return adjugate / (a * d - b * c)[..., None, None]
+
+
+class _AxisAngle(torch.autograd.Function):
+    """Angle of the major axis of [[a, b], [b, d]] with a gradient bounded for round regions.
+
+    The exact gradient grows as 1 over the relative gap of the eigenvalues. The backward pass
+    divides by `q^2 + (0.02 trace)^2` in place of `q^2` and is zero below a relative gap of 1e-3.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, half_difference: Tensor, b: Tensor, trace: Tensor) -> Tensor:
+        ctx.save_for_backward(half_difference, b, trace)
+        return 0.5 * torch.atan2(b, half_difference)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, None]:
+        half_difference, b, trace = ctx.saved_tensors
+        squared = half_difference**2 + b**2
+        scale = 0.5 * gradients[0] / (squared + (0.02 * trace) ** 2)
+        scale = torch.where(2 * squared.sqrt() < 1e-3 * trace, torch.zeros_like(scale), scale)
+        return -scale * b, scale * half_difference, None
+
+
+def _eigen_root(covariance: Tensor) -> Tensor:
+    a, b, d = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
+    half_difference, half_trace = (a - d) / 2, (a + d) / 2
+    gap = torch.sqrt(torch.clamp(half_difference**2 + b**2, min=1e-20))
+    theta = _AxisAngle.apply(half_difference, b, a + d)
+    major = torch.sqrt(half_trace + gap)
+    minor = torch.sqrt(torch.clamp(half_trace - gap, min=1e-12))
+    cos, sin = torch.cos(theta), torch.sin(theta)
+    return torch.stack([cos * major, -sin * minor, sin * major, cos * minor], dim=-1).unflatten(
+        -1, (2, 2)
+    )
+
+
+def _symmetric_root(covariance: Tensor) -> Tensor:
+    a, b, d = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
+    root = torch.sqrt(torch.clamp(a * d - b * b, min=1e-20))
+    identity = torch.eye(2, device=covariance.device)
+    scale = torch.sqrt(a + d + 2 * root)[..., None, None]
+    return (covariance + root[..., None, None] * identity) / scale
+
+
+def cholesky(covariance: Tensor) -> Tensor:
+    """Lower factor of positive definite (..., 2, 2) matrices, closed form, diagonal positive."""
+    a, b, d = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
+    l1 = torch.sqrt(torch.clamp(a, min=1e-12))
+    l2 = b / l1
+    l3 = torch.sqrt(torch.clamp(d - l2**2, min=1e-12))
+    return torch.stack([l1, torch.zeros_like(l1), l2, l3], dim=-1).unflatten(-1, (2, 2))
+
+
+_ROOTS = {"svd": _eigen_root, "sym": _symmetric_root, "chol": cholesky}
+
+
+def affine_from_covariance(covariance: Tensor, mode: str = "svd") -> Tensor:
+    """A root A of the covariance, `A A^T = C`: the region's local affine frame.
+
+    Args:
+        covariance: (..., 2, 2) symmetric positive definite, float32.
+        mode: "svd" `U sqrt(S)` with det U = 1 (MRAA), "sym" the symmetric root, "chol" the
+            Cholesky factor; the last two are continuous but do not follow rotations.
+
+    Returns:
+        (..., 2, 2) float32.
+    """
+    return _ROOTS[mode](covariance.float())
+
+
+def relative_affine(source: Tensor, driving: Tensor, *, revert_axis_swap: bool) -> Tensor:
+    """`A_s A_d^-1`, the map from driving to source around a region.
+
+    Args:
+        source: (..., 2, 2) affine of the source.
+        driving: (..., 2, 2) affine of the driving.
+        revert_axis_swap: multiply by the sign of the (0, 0) entry (MRAA), which removes the
+            joint sign that the eigenvectors leave open.
+    """
+    product = source @ inverse(driving)
+    return fix_sign(product) if revert_axis_swap else product
+
+
+def fix_sign(matrix: Tensor) -> Tensor:
+    """Multiply (..., 2, 2) matrices by the sign of their (0, 0) entry."""
+    return matrix * torch.sign(matrix[..., :1, :1])

@@ -1,0 +1,133 @@
+"""Image generators: the source's features, warped by the flow and inpainted (MRAA, section 3)."""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from mraa.blocks import DownBlock, PostResBlock, ResBlock, SameBlock, UpBlock
+from mraa.flow import Flow
+from mraa.grid import resize_flow, resize_map, warp
+
+
+class _Warper:
+    """Flow and occlusion resized once a resolution, shared by all warped skips of a frame."""
+
+    def __init__(self, flow: Flow, align_corners: bool) -> None:
+        self.flow, self.align_corners = flow, align_corners
+        self.sizes: dict[tuple[int, int], tuple[Tensor, Tensor]] = {}
+
+    def __call__(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Warped features (B, C, H, W) and the occlusion (B, 1, H, W) at their size."""
+        height, width = features.shape[2:]
+        corners = self.align_corners
+        if (height, width) not in self.sizes:
+            self.sizes[height, width] = (
+                resize_flow(self.flow.flow, height, width, align_corners=corners),
+                resize_map(self.flow.occlusion, height, width, align_corners=corners),
+            )
+        flow, occlusion = self.sizes[height, width]
+        return warp(features, flow, align_corners=corners), occlusion
+
+    def blend(self, features: Tensor, generated: Tensor) -> Tensor:
+        """Warped features where the source shows them, `generated` elsewhere."""
+        warped, occlusion = self(features)
+        return warped * occlusion + generated * (1 - occlusion)
+
+
+class ImageGenerator(nn.Module):
+    """MRAA's generator: encoder, warped bottleneck, residual blocks, decoder with warped skips.
+
+    Args:
+        width: channels of the first block.
+        max_width: bound of the channels.
+        down_blocks: halvings before the bottleneck.
+        bottleneck_blocks: residual blocks at the bottleneck.
+        skips: blend warped encoder features, and at last the warped source, into the decoder.
+        align_corners: grid convention of the warps.
+    """
+
+    def __init__(
+        self,
+        width: int = 64,
+        max_width: int = 512,
+        down_blocks: int = 2,
+        bottleneck_blocks: int = 6,
+        skips: bool = True,
+        align_corners: bool = True,
+    ) -> None:
+        super().__init__()
+        widths = [min(max_width, width * 2**i) for i in range(down_blocks + 1)]
+        pairs = list(zip(widths[:-1], widths[1:], strict=True))
+        self.first = SameBlock(3, width, kernel=7)
+        self.down_blocks = nn.ModuleList(DownBlock(a, b) for a, b in pairs)
+        self.bottleneck = nn.Sequential(*(ResBlock(widths[-1]) for _ in range(bottleneck_blocks)))
+        self.up_blocks = nn.ModuleList(UpBlock(b, a) for a, b in reversed(pairs))
+        self.final = nn.Conv2d(width, 3, 7, padding=3)
+        self.skips = skips
+        self.align_corners = align_corners
+
+    def encode(self, source: Tensor) -> list[Tensor]:
+        """Features of the source (B, 3, H, W), full resolution first; once a photo."""
+        features = [self.first(source)]
+        for block in self.down_blocks:
+            features.append(block(features[-1]))
+        return features
+
+    def decode(self, source: Tensor, features: list[Tensor], flow: Flow) -> Tensor:
+        """A frame (B, 3, H, W) in [0, 1] from the source, its features and the flow."""
+        warper = _Warper(flow, self.align_corners)
+        warped, occlusion = warper(features[-1])
+        x = self.bottleneck(warped * occlusion)
+        for block, skip in zip(self.up_blocks, reversed(features[1:]), strict=True):
+            x = block(warper.blend(skip, x) if self.skips else x)
+        x = self.final(warper.blend(features[0], x) if self.skips else x)
+        x = torch.sigmoid(x.float())
+        return warper.blend(source, x) if self.skips else x
+
+    def forward(self, source: Tensor, flow: Flow) -> Tensor:
+        """A frame (B, 3, H, W) in [0, 1] from the source (B, 3, H, W) and the flow."""
+        return self.decode(source, self.encode(source), flow)
+
+
+class LiteGenerator(nn.Module):
+    """A slim generator: works at a half and a quarter of the resolution, warps the photo itself.
+
+    Pixel unshuffle, one down block, post-activation residual blocks at a quarter, one up block
+    with a warped skip, pixel shuffle; the warped photo is blended in at full resolution. No
+    convolution runs at full resolution and every norm folds into the convolution before it.
+
+    Args:
+        width: channels at a quarter of the resolution (twice those at a half).
+        bottleneck_blocks: residual blocks.
+        align_corners: grid convention of the warps.
+    """
+
+    def __init__(
+        self, width: int = 128, bottleneck_blocks: int = 6, align_corners: bool = True
+    ) -> None:
+        super().__init__()
+        self.first = SameBlock(12, width // 2)
+        self.down = DownBlock(width // 2, width)
+        self.bottleneck = nn.Sequential(*(PostResBlock(width) for _ in range(bottleneck_blocks)))
+        self.up = UpBlock(width, width // 2)
+        self.final = nn.Conv2d(width // 2, 12, 3, padding=1)
+        self.align_corners = align_corners
+
+    def encode(self, source: Tensor) -> list[Tensor]:
+        """Features of the source (B, 3, H, W), half resolution first; once a photo."""
+        half = self.first(F.pixel_unshuffle(source, 2))  # (B, width/2, H/2, W/2)
+        return [half, self.down(half)]
+
+    def decode(self, source: Tensor, features: list[Tensor], flow: Flow) -> Tensor:
+        """A frame (B, 3, H, W) in [0, 1] from the source, its features and the flow."""
+        warper = _Warper(flow, self.align_corners)
+        half, quarter = features
+        warped, occlusion = warper(quarter)
+        x = self.up(self.bottleneck(warped * occlusion))
+        x = self.final(warper.blend(half, x))
+        x = torch.sigmoid(F.pixel_shuffle(x.float(), 2))
+        return warper.blend(source, x)
+
+    def forward(self, source: Tensor, flow: Flow) -> Tensor:
+        """A frame (B, 3, H, W) in [0, 1] from the source (B, 3, H, W) and the flow."""
+        return self.decode(source, self.encode(source), flow)

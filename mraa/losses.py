@@ -1,0 +1,219 @@
+"""Losses of the renderer: perceptual pyramid and equivariance of regions (MRAA, section 3.5)."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from safetensors.torch import load_file
+from torch import Tensor, nn
+
+from data_prep.errors import BadInput
+from mraa.affine import fix_sign, inverse
+from mraa.blocks import AntiAliasDown
+from mraa.regions import RegionEstimator, Regions
+from mraa.transform import ThinPlate, random_thin_plate
+
+PYRAMID_SCALES = (1.0, 0.5, 0.25, 0.125)
+"""Resolutions at which prediction and truth are compared."""
+
+VGG19_CONVS = (2, 2, 4, 4, 4)
+"""Convolutions before each max pooling of VGG19."""
+
+VGG19_WIDTHS = (64, 128, 256, 512, 512)
+"""Channels of the five groups of convolutions of VGG19."""
+
+
+def image_pyramid(image: Tensor, downs: nn.ModuleList) -> list[Tensor]:
+    """Anti-aliased versions of (B, 3, H, W) at `PYRAMID_SCALES`."""
+    return [down(image) for down in downs]
+
+
+class Vgg(nn.Module):
+    """VGG19 up to relu5_1; taps after relu1_1, relu2_1, relu3_1, relu4_1, relu5_1. Frozen.
+
+    Args:
+        widths: channels of the five groups; the default is VGG19's.
+        convs: convolutions of the first four groups (of the fifth only the first is used).
+    """
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(
+        self,
+        widths: tuple[int, ...] = VGG19_WIDTHS,
+        convs: tuple[int, ...] = VGG19_CONVS,
+    ) -> None:
+        super().__init__()
+        groups, channels = [], 3
+        for width, count in zip(widths, (*convs[:-1], 1), strict=True):
+            group = nn.ModuleList()
+            for _ in range(count):
+                group.append(nn.Conv2d(channels, width, 3, padding=1))
+                channels = width
+            groups.append(group)
+        self.groups = nn.ModuleList(groups)
+        self.register_buffer("mean", torch.tensor([0.485, 0.456, 0.406]).view(1, 3, 1, 1))
+        self.register_buffer("std", torch.tensor([0.229, 0.224, 0.225]).view(1, 3, 1, 1))
+        self.requires_grad_(False)
+
+    def forward(self, image: Tensor) -> list[Tensor]:
+        """Five feature maps of images (B, 3, H, W) in [0, 1]; too small ones give fewer."""
+        x = (image - self.mean) / self.std
+        taps = []
+        for index, group in enumerate(self.groups):
+            if index:
+                if min(x.shape[2:]) < 2:
+                    break
+                x = F.max_pool2d(x, 2)
+            for number, conv in enumerate(group):
+                x = F.relu(conv(x))
+                if number == 0:
+                    taps.append(x)
+        return taps
+
+
+def load_vgg19(path: Path) -> Vgg:
+    """VGG19 from a local file of torchvision's `vgg19` state dict (.pth or .safetensors).
+
+    Raises:
+        BadInput: missing, unreadable, or not VGG19's tensors.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise BadInput(f"{path}: no such file; leave perceptual_weights empty to do without")
+    try:
+        if path.suffix == ".safetensors":
+            state = load_file(path)
+        else:
+            state = torch.load(path, map_location="cpu", weights_only=True)
+        vgg = Vgg()
+        position = 0  # index in torchvision's flat `features`
+        for index, group in enumerate(vgg.groups):
+            for number, conv in enumerate(group):
+                at = position + 2 * number
+                conv.weight.copy_(state[f"features.{at}.weight"])
+                conv.bias.copy_(state[f"features.{at}.bias"])
+            position += 2 * VGG19_CONVS[index] + 1
+    except Exception as error:  # any damaged or foreign file ends here
+        raise BadInput(f"{path}: not a VGG19 state dict ({error})") from error
+    return vgg
+
+
+def random_vgg(width: int = 64, seed: int = 0) -> Vgg:
+    """A fixed random VGG with one convolution a group, every tap scaled to unit deviation.
+
+    Random convolutions still compare local structure at several scales; the scaling is done on
+    a fixed picture of coloured noise, so that the network follows from `width` and `seed`.
+
+    Args:
+        width: channels of the first group; doubled up to 8 times.
+        seed: of the weights.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    vgg = Vgg(tuple(min(width * 2**i, 8 * width) for i in range(5)), (1, 1, 1, 1, 1))
+    noise = torch.rand(1, 3, 256, 256, generator=generator)
+    smooth = F.interpolate(
+        torch.rand(1, 3, 16, 16, generator=generator), size=256, mode="bicubic"
+    ).clamp(0, 1)
+    x = (0.2 * noise + 0.8 * smooth - vgg.mean) / vgg.std
+    with torch.no_grad():
+        for index, group in enumerate(vgg.groups):
+            conv = group[0]
+            assert isinstance(conv, nn.Conv2d) and conv.bias is not None
+            weight = torch.randn(conv.weight.shape, generator=generator)
+            conv.weight.copy_(weight - weight.mean(dim=(1, 2, 3), keepdim=True) * 0.5)
+            conv.bias.zero_()
+            x = F.max_pool2d(x, 2) if index else x
+            conv.weight.div_(F.relu(conv(x)).std())
+            x = F.relu(conv(x))
+    return vgg
+
+
+class PerceptualPyramid(nn.Module):
+    """Weighted distance of deep features over an image pyramid.
+
+    `sum over scales and layers of weight * mean |phi(prediction) - phi(truth)|`, with VGG19
+    where a weights file is given (MRAA), else with the fixed random VGG and the image itself
+    (a Laplacian pyramid in effect: the same scales, L1).
+
+    Args:
+        weights: path of VGG19's state dict; empty for the fixed random network.
+        width: of the random network.
+        scales: resolutions compared.
+    """
+
+    def __init__(
+        self,
+        weights: str = "",
+        width: int = 32,
+        scales: tuple[float, ...] = PYRAMID_SCALES,
+        weight: float = 10.0,
+    ) -> None:
+        super().__init__()
+        self.backend = "vgg19" if weights else "random_vgg+lap"
+        self.vgg = load_vgg19(Path(weights)) if weights else random_vgg(width)
+        self.downs = nn.ModuleList(AntiAliasDown(3, scale) for scale in scales)
+        self.weight = weight
+        self.requires_grad_(False)
+
+    def forward(self, prediction: Tensor, truth: Tensor) -> Tensor:
+        """Scalar loss of images (B, 3, H, W) in [0, 1]."""
+        total = prediction.new_zeros(())
+        predictions = image_pyramid(prediction, self.downs)
+        truths = image_pyramid(truth, self.downs)
+        for small, small_truth in zip(predictions, truths, strict=True):
+            with torch.no_grad():
+                wanted = self.vgg(small_truth)
+            for a, b in zip(self.vgg(small), wanted, strict=True):
+                total = total + (a - b).abs().float().mean()
+        if self.backend != "vgg19":
+            total = total + 4 * laplacian_distance(predictions, truths)
+        return self.weight * total
+
+
+def laplacian_distance(predictions: list[Tensor], truths: list[Tensor]) -> Tensor:
+    """Sum over a pyramid of mean |band of the prediction - band of the truth|."""
+    differences = [a - b for a, b in zip(predictions, truths, strict=True)]
+    total = differences[-1].abs().mean()
+    for fine, coarse in zip(differences[:-1], differences[1:], strict=True):
+        low = F.interpolate(coarse, size=fine.shape[2:], mode="bilinear", align_corners=False)
+        total = total + (fine - low).abs().mean()
+    return total
+
+
+@dataclass(frozen=True)
+class Equivariance:
+    """The two equivariance losses (scalars, unweighted) of MRAA."""
+
+    shift: Tensor
+    """mean |mu_d - W(mu_t)|"""
+    affine: Tensor
+    """mean |I - sign A_d^-1 J_W(mu_t) A_t|"""
+
+
+def equivariance(regions: Regions, transformed: Regions, transform: ThinPlate) -> Equivariance:
+    """Compare regions of a frame with those of the frame seen through `transform`.
+
+    Args:
+        regions: of the frame, (B, K).
+        transformed: of `transform.image(frame)`.
+        transform: W.
+    """
+    shift = (regions.shift - transform.points(transformed.shift)).abs().mean()
+    product = (
+        inverse(regions.affine) @ transform.jacobian(transformed.shift) @ transformed.affine
+    )
+    identity = torch.eye(2, device=product.device)
+    return Equivariance(shift, (identity - fix_sign(product)).abs().mean())
+
+
+def equivariance_of(
+    estimator: RegionEstimator, frame: Tensor, regions: Regions, *, align_corners: bool
+) -> Equivariance:
+    """Equivariance losses of an estimator under one random transform of frames (B, 3, H, W)."""
+    transform = random_thin_plate(len(frame), frame.device)
+    transformed = estimator(transform.image(frame, align_corners=align_corners))
+    with torch.autocast(frame.device.type, enabled=False):
+        return equivariance(regions, transformed, transform)

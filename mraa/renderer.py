@@ -1,0 +1,187 @@
+"""The renderer: its sizes, its parts, and one source animated by regions."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor, nn
+
+from mraa.avd import AvdNetwork
+from mraa.background import BackgroundPredictor
+from mraa.flow import Flow, FlowPredictor
+from mraa.generator import ImageGenerator, LiteGenerator
+from mraa.regions import RegionEstimator, Regions
+
+
+@dataclass(frozen=True)
+class HourglassConfig:
+    """Sizes of one hourglass (or its encoder alone)."""
+
+    width: int
+    blocks: int = 5
+    max_width: int = 1024
+
+
+@dataclass(frozen=True)
+class GeneratorConfig:
+    """Sizes of the image generator; `design` is "paper" (MRAA) or "lite" (slim)."""
+
+    design: str = "paper"
+    width: int = 64
+    max_width: int = 512
+    down_blocks: int = 2
+    bottleneck_blocks: int = 6
+
+
+@dataclass(frozen=True)
+class RendererConfig:
+    """Architecture of the renderer; the defaults are MRAA's at 256x256 with K = 20 (ANGIE)."""
+
+    regions: int = 20
+    estimator: HourglassConfig = field(default_factory=lambda: HourglassConfig(32))
+    estimator_scale: float = 0.25
+    temperature: float = 0.1
+    heatmap_padding: int = 0
+    background: HourglassConfig = field(default_factory=lambda: HourglassConfig(32))
+    background_kind: str = "affine"
+    flow: HourglassConfig = field(default_factory=lambda: HourglassConfig(64))
+    flow_scale: float = 0.25
+    generator: GeneratorConfig = field(default_factory=GeneratorConfig)
+    skips: bool = True
+    avd_id_width: int = 64
+    avd_pose_width: int = 64
+    affine_mode: str = "svd"
+    covariance_floor: float = 1e-4
+    align_corners: bool = True
+    revert_axis_swap: bool = True
+
+
+@dataclass(frozen=True)
+class Source:
+    """What is computed once for a photo."""
+
+    image: Tensor
+    """(1, 3, H, W) in [0, 1]."""
+    small: Tensor
+    """(1, 3, h, w), the photo at the flow predictor's resolution."""
+    features: list[Tensor]
+    """The generator's encoding of the photo."""
+    regions: Regions
+    """Regions (1, K) of the photo."""
+
+
+class Renderer(nn.Module):
+    """Region estimator, background predictor, flow predictor and image generator."""
+
+    def __init__(self, config: RendererConfig) -> None:
+        super().__init__()
+        self.config = config
+        c, estimator, flow = config, config.estimator, config.flow
+        self.estimator = RegionEstimator(
+            regions=c.regions,
+            width=estimator.width,
+            blocks=estimator.blocks,
+            max_width=estimator.max_width,
+            scale=c.estimator_scale,
+            temperature=c.temperature,
+            padding=c.heatmap_padding,
+            covariance_floor=c.covariance_floor,
+            affine_mode=c.affine_mode,
+        )
+        self.background = BackgroundPredictor(
+            kind=c.background_kind,
+            width=c.background.width,
+            blocks=c.background.blocks,
+            max_width=c.background.max_width,
+        )
+        self.flow = FlowPredictor(
+            regions=c.regions,
+            width=flow.width,
+            blocks=flow.blocks,
+            max_width=flow.max_width,
+            scale=c.flow_scale,
+            align_corners=c.align_corners,
+            revert_axis_swap=c.revert_axis_swap,
+        )
+        self.generator = make_generator(c)
+
+    def forward(
+        self,
+        source: Tensor,
+        source_regions: Regions,
+        driving_regions: Regions,
+        background: Tensor | None = None,
+    ) -> tuple[Tensor, Flow]:
+        """Frames (B, 3, H, W) in [0, 1] in the driving pose, and their flow.
+
+        Args:
+            source: images (B, 3, H, W) in [0, 1].
+            source_regions: regions of `source`.
+            driving_regions: regions of the frames to make.
+            background: (B, 3, 3) background motion; None when the camera stands still.
+        """
+        flow = self.flow(source, source_regions, driving_regions, background)
+        return self.generator(source, flow), flow
+
+    def open(self, photo: Tensor) -> Source:
+        """Compute what is needed of a photo (1, 3, H, W) in [0, 1] once."""
+        return Source(
+            photo, self.flow.down(photo), self.generator.encode(photo), self.estimator(photo)
+        )
+
+    def draw(self, source: Source, driving: Regions) -> Tensor:
+        """Frames (B, 3, H, W) in [0, 1] of an opened photo in the poses `driving` (B, K)."""
+        count = len(driving.shift)
+        flow = self.flow.from_small(
+            source.small.expand(count, -1, -1, -1), _repeat(source.regions, count), driving
+        )
+        features = [f.expand(count, -1, -1, -1) for f in source.features]
+        return self.generator.decode(source.image.expand(count, -1, -1, -1), features, flow)
+
+    @torch.no_grad()
+    def animate(self, photo: Tensor, poses: Iterator[Regions]) -> Iterator[Tensor]:
+        """Stream uint8 frames (B, H, W, 3) of a photo (1, 3, H, W) for batches of poses."""
+        source = self.open(photo)
+        for driving in poses:
+            frames = self.draw(source, driving)
+            yield to_pixels(frames)
+
+
+def to_pixels(frames: Tensor) -> Tensor:
+    """(B, 3, H, W) float in [0, 1] to (B, H, W, 3) uint8."""
+    return (frames.clamp(0, 1) * 255).round().to(torch.uint8).permute(0, 2, 3, 1)
+
+
+def from_pixels(frames: Tensor) -> Tensor:
+    """(B, H, W, 3) uint8 to (B, 3, H, W) float32 in [0, 1]."""
+    return frames.permute(0, 3, 1, 2).float() / 255
+
+
+def make_generator(config: RendererConfig) -> ImageGenerator | LiteGenerator:
+    """The image generator that a configuration names."""
+    sizes = config.generator
+    if sizes.design == "lite":
+        return LiteGenerator(sizes.width, sizes.bottleneck_blocks, config.align_corners)
+    return ImageGenerator(
+        width=sizes.width,
+        max_width=sizes.max_width,
+        down_blocks=sizes.down_blocks,
+        bottleneck_blocks=sizes.bottleneck_blocks,
+        skips=config.skips,
+        align_corners=config.align_corners,
+    )
+
+
+def make_avd(config: RendererConfig) -> AvdNetwork:
+    """The disentanglement network that a configuration names."""
+    return AvdNetwork(
+        config.regions, config.avd_id_width, config.avd_pose_width, config.revert_axis_swap
+    )
+
+
+def _repeat(regions: Regions, count: int) -> Regions:
+    return Regions(
+        regions.shift.expand(count, -1, -1),
+        regions.covariance.expand(count, -1, -1, -1),
+        regions.affine.expand(count, -1, -1, -1),
+    )

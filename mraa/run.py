@@ -1,0 +1,294 @@
+"""One training run: devices, precision, distribution, checkpoints, curves and progress.
+
+Everything random in step i follows from (seed, i): which items are drawn, augmentation, dropout.
+A run that is resumed from the checkpoint of step i is therefore the same run, bit for bit on one
+CPU, and a checkpoint holds tensors and one number alone.
+"""
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from lightning_fabric import Fabric
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+from torch.utils.data import DataLoader, Dataset, Sampler
+
+from data_prep.errors import BadInput
+from data_prep.output import whole_file
+from data_prep.progress import progress
+
+_STRIDE = 1_000_003  # keeps the seeds of neighbouring steps and runs apart
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """How to run a training stage; not what it computes."""
+
+    device: str = "auto"
+    """"auto", "cpu", "cuda" or "mps"."""
+    devices: int = 1
+    """Processes on this machine; under torchrun its world size rules."""
+    precision: str = "32-true"
+    """Lightning Fabric's names: "32-true", "bf16-mixed", "16-mixed"."""
+    workers: int = 0
+    """Processes that load data, each."""
+    checkpoint_seconds: float = 120.0
+    """Longest work that a kill can lose."""
+    log_every: int = 10
+    """Steps between points of the curves."""
+
+
+class _StepSampler(Sampler[list[tuple[int, int]]]):
+    """Endless batches of (index, seed); batch i of rank r is a pure function of (seed, i, r)."""
+
+    def __init__(self, length: int, batch: int, seed: int, first: int, rank: int, world: int):
+        if batch % world:
+            raise BadInput(f"batch {batch} does not divide over {world} processes")
+        self.length, self.batch, self.seed = length, batch, seed
+        self.first, self.rank, self.world = first, rank, world
+        self._epoch, self._order = -1, np.arange(0)
+
+    def __iter__(self) -> Iterator[list[tuple[int, int]]]:
+        step = self.first
+        while True:
+            start = step * self.batch
+            share = range(self.rank, self.batch, self.world)
+            yield [self._item(start + offset) for offset in share]
+            step += 1
+
+    def _item(self, position: int) -> tuple[int, int]:
+        """Every epoch is one permutation of all items."""
+        epoch, place = divmod(position, self.length)
+        if self._epoch != epoch:
+            order = np.random.default_rng([self.seed, epoch]).permutation(self.length)
+            self._epoch, self._order = epoch, order
+        return int(self._order[place]), self.seed * _STRIDE + position
+
+
+class _Seeded(Dataset[Any]):
+    """Gives every item its own random generator, drawn from (seed, position)."""
+
+    def __init__(self, items: Any) -> None:
+        self.items = items
+
+    def __getitem__(self, key: tuple[int, int]) -> Any:
+        index, seed = key
+        if hasattr(self.items, "draw"):
+            return self.items.draw(index, np.random.default_rng(seed))
+        return self.items[index]
+
+
+class Run:
+    """A stage of training.
+
+    A stage is a flat loop::
+
+        run = Run(folder, "vq", steps=1000, seed=0)
+        model, optimizer = run.setup(model, optimizer)
+        batches = run.batches(windows, batch_size=32)
+        for step in run.steps():
+            loss = model(next(batches))
+            run.backward(loss)
+            optimizer.step()
+            optimizer.zero_grad()
+            run.log(loss=loss)
+
+    Args:
+        folder: checkpoints go to `folder/<stage>.safetensors`, curves to `folder/curves/<stage>`.
+        stage: name of the stage.
+        steps: number of optimiser steps.
+        seed: everything random follows from it.
+        config: device, precision and so on.
+        resume: go on from the checkpoint if there is one; else start anew.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        stage: str,
+        *,
+        steps: int,
+        seed: int = 0,
+        config: RunConfig | None = None,
+        resume: bool = False,
+    ) -> None:
+        self.config = config or RunConfig()
+        self.folder, self.stage, self.total, self.seed = Path(folder), stage, steps, seed
+        self.fabric = Fabric(
+            accelerator=self.config.device,
+            devices=self.config.devices,
+            precision=self.config.precision,  # type: ignore[arg-type]
+        )
+        self.fabric.launch()
+        self.resume = resume
+        self.first = 0
+        self.step = 0
+        self._note = ""
+        self._models: list[nn.Module] = []
+        self._optimizer: torch.optim.Optimizer | None = None
+        self._curves: Any = None
+        torch.manual_seed(seed)
+
+    @property
+    def checkpoint(self) -> Path:
+        """Where this stage's checkpoint lies."""
+        return self.folder / f"{self.stage}.safetensors"
+
+    @property
+    def device(self) -> torch.device:
+        """Where the stage computes."""
+        return self.fabric.device
+
+    def setup(
+        self, model: nn.Module, optimizer: torch.optim.Optimizer
+    ) -> tuple[Any, torch.optim.Optimizer]:
+        """Place model and optimiser, and restore both when resuming."""
+        self._models, self._optimizer = [model], optimizer
+        if self.resume and self.checkpoint.exists():
+            self.first = load_checkpoint(self.checkpoint, model, optimizer)
+        if self.fabric.world_size > 1:
+            model = nn.SyncBatchNorm.convert_sync_batchnorm(model) if _cuda(self) else model
+        wrapped, placed = self.fabric.setup(model, optimizer)
+        self._models, self._optimizer = [wrapped.module], placed
+        return wrapped, placed
+
+    def batches(self, items: Any, batch_size: int) -> Iterator[Any]:
+        """Endless batches from the step at which this run begins.
+
+        Args:
+            items: has `len` and either `items[index]` or `items.draw(index, generator)` with a
+                NumPy generator for what is random in an item.
+            batch_size: over all processes together.
+        """
+        sampler = _StepSampler(
+            len(items),
+            batch_size,
+            self.seed,
+            self.first,
+            self.fabric.global_rank,
+            self.fabric.world_size,
+        )
+        loader: DataLoader[Any] = DataLoader(
+            _Seeded(items),
+            batch_sampler=sampler,
+            num_workers=self.config.workers,
+            pin_memory=_cuda(self),
+            persistent_workers=self.config.workers > 0,
+        )
+        for batch in loader:
+            yield self.fabric.to_device(batch)
+
+    def steps(self) -> Iterator[int]:
+        """Steps that remain; seeds torch at each, shows progress, writes checkpoints."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        saved = time.monotonic()
+        with progress(self.stage, self.total, "steps", self.first) as advance:
+            for step in range(self.first, self.total):
+                self.step = step
+                torch.manual_seed(self.seed * _STRIDE + step)
+                yield step
+                advance(1, self._note)
+                self.step = step + 1
+                if time.monotonic() - saved > self.config.checkpoint_seconds:
+                    self.save()
+                    saved = time.monotonic()
+        self.save()
+        if self._curves is not None:
+            self._curves.flush()
+
+    def backward(self, loss: Tensor) -> None:
+        """Gradients of a scalar loss, scaled and averaged as precision and devices ask."""
+        self.fabric.backward(loss)
+
+    def clip(self, model: nn.Module, optimizer: torch.optim.Optimizer, norm: float) -> None:
+        """Scale the gradients to at most `norm`."""
+        self.fabric.clip_gradients(model, optimizer, max_norm=norm, error_if_nonfinite=False)
+
+    def rate(
+        self,
+        optimizer: torch.optim.Optimizer,
+        base: float,
+        milestones: Sequence[int] = (),
+        factor: float = 0.1,
+    ) -> None:
+        """Set the learning rate of this step: `base * factor^(milestones passed)`."""
+        passed = sum(self.step >= milestone for milestone in milestones)
+        for group in optimizer.param_groups:
+            group["lr"] = base * factor**passed
+
+    def log(self, **scalars: Tensor | float) -> None:
+        """Add points to the curves, every `log_every` steps, and show the first."""
+        last = self.step + 1 == self.total
+        if self.fabric.global_rank or (self.step % self.config.log_every and not last):
+            return
+        values = {name: float(value) for name, value in scalars.items()}
+        self._note = "  ".join(f"{name} {value:.4g}" for name, value in values.items())
+        for name, value in values.items():
+            self.curves.add_scalar(name, value, self.step)
+
+    @property
+    def curves(self) -> Any:
+        """TensorBoard writer of this stage."""
+        if self._curves is None:
+            from torch.utils.tensorboard import SummaryWriter
+
+            self._curves = SummaryWriter(str(self.folder / "curves" / self.stage))
+        return self._curves
+
+    def save(self) -> None:
+        """Write the checkpoint of the steps done so far; whole or not at all."""
+        if self.fabric.global_rank == 0 and self._optimizer is not None:
+            save_checkpoint(self.checkpoint, self._models[0], self._optimizer, self.step)
+        self.fabric.barrier()
+
+
+def _cuda(run: Run) -> bool:
+    return run.fabric.device.type == "cuda"
+
+
+def save_checkpoint(
+    path: Path, model: nn.Module, optimizer: torch.optim.Optimizer, step: int
+) -> None:
+    """Write model, optimiser and step as one safetensors file."""
+    tensors = {f"model.{k}": v.detach().clone() for k, v in model.state_dict().items()}
+    for number, state in optimizer.state_dict()["state"].items():
+        for name, value in state.items():
+            tensors[f"optimizer.{number}.{name}"] = torch.as_tensor(value).detach().clone()
+    with whole_file(path, force=True) as part:
+        save_file(
+            {k: v.contiguous().cpu() for k, v in tensors.items()}, part, {"step": str(step)}
+        )
+
+
+def load_checkpoint(path: Path, model: nn.Module, optimizer: torch.optim.Optimizer) -> int:
+    """Restore model and optimiser; returns the number of steps done.
+
+    Raises:
+        BadInput: the file is damaged or belongs to another architecture.
+    """
+    states: dict[int, dict[str, Tensor]] = {}
+    weights: dict[str, Tensor] = {}
+    try:
+        with safe_open(path, framework="pt") as file:
+            step = int(file.metadata()["step"])
+            for key in file.keys():  # noqa: SIM118 (not a dict)
+                kind, _, name = key.partition(".")
+                if kind == "model":
+                    weights[name] = file.get_tensor(key)
+                else:
+                    number, _, field = name.partition(".")
+                    states.setdefault(int(number), {})[field] = file.get_tensor(key)
+        model.load_state_dict(weights)
+    except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
+        raise BadInput(
+            f"{path}: a checkpoint of another architecture or damaged; train without --resume"
+        ) from error
+    groups = optimizer.state_dict()["param_groups"]
+    optimizer.load_state_dict({"state": states, "param_groups": groups})
+    return step

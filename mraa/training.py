@@ -1,0 +1,131 @@
+"""Training of the renderer: reconstruct one frame of a clip from another (MRAA, section 3.5)."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from data_prep.dataset import Dataset
+from mraa.losses import PerceptualPyramid, equivariance_of
+from mraa.pairs import Augmentation, FramePairs
+from mraa.renderer import Renderer, RendererConfig, from_pixels
+from mraa.run import Run, RunConfig
+from mraa.sheet import write_sheet
+
+
+@dataclass(frozen=True)
+class RendererTraining:
+    """How the renderer is trained; the defaults are MRAA's for 256x256."""
+
+    epochs: int = 100
+    repeats: int = 75
+    """Times that an epoch goes over the clips."""
+    steps: int = 0
+    """Optimiser steps; 0 for what epochs, repeats and the data give."""
+    batch: int = 14
+    rate: float = 2e-4
+    betas: tuple[float, float] = (0.5, 0.999)
+    milestones: tuple[float, ...] = (0.6, 0.9)
+    """Parts of the run after which the rate falls to a tenth (epochs 60 and 90 of 100)."""
+    perceptual_weights: str = ""
+    """File of VGG19's weights; empty for the fixed random network and Laplacian pyramid."""
+    perceptual_width: int = 32
+    """Width of the fixed random network."""
+    perceptual: float = 10.0
+    equivariance_shift: float = 10.0
+    equivariance_affine: float = 10.0
+    augmentation: Augmentation = field(default_factory=Augmentation)
+    sheet_every: int = 500
+    """Steps between sheets of samples."""
+
+
+class _Objective(nn.Module):
+    """The renderer with its losses, as one module so that devices see one forward pass."""
+
+    def __init__(self, renderer: Renderer, training: RendererTraining) -> None:
+        super().__init__()
+        self.renderer, self.training_config = renderer, training
+
+    def forward(self, source: Tensor, driving: Tensor) -> dict[str, Tensor]:
+        renderer, weights = self.renderer, self.training_config
+        both = renderer.estimator(torch.cat([source, driving]))
+        source_regions, driving_regions = both[: len(source)], both[len(source) :]
+        background = renderer.background(source, driving)
+        prediction, flow = renderer(source, source_regions, driving_regions, background)
+        terms = equivariance_of(
+            renderer.estimator,
+            driving,
+            driving_regions,
+            align_corners=renderer.config.align_corners,
+        )
+        return {
+            "prediction": prediction,
+            "shift": weights.equivariance_shift * terms.shift,
+            "affine": weights.equivariance_affine * terms.affine,
+        }
+
+
+def train_renderer(
+    dataset: Dataset,
+    config: RendererConfig,
+    training: RendererTraining,
+    folder: Path,
+    *,
+    seed: int = 0,
+    run_config: RunConfig | None = None,
+    resume: bool = False,
+) -> Renderer:
+    """Train a renderer on the training clips of a dataset.
+
+    Args:
+        dataset: clips of one or several speakers.
+        config: architecture.
+        training: losses, schedule, augmentation.
+        folder: for checkpoint, curves and sample sheets.
+        seed: of weights, pairs, augmentation and transforms.
+        run_config: device, precision and so on.
+        resume: go on from the checkpoint in `folder`.
+
+    Returns:
+        The renderer in eval mode on the CPU.
+    """
+    clips = dataset.clips("train")
+    steps = training.steps or max(
+        1, training.epochs * training.repeats * len(clips) // training.batch
+    )
+    run = Run(folder, "renderer", steps=steps, seed=seed, config=run_config, resume=resume)
+    renderer = Renderer(config).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    optimizer = torch.optim.Adam(renderer.parameters(), lr=training.rate, betas=training.betas)
+    objective, optimizer = run.setup(_Objective(renderer, training), optimizer)
+    perceptual = PerceptualPyramid(
+        training.perceptual_weights, training.perceptual_width, weight=training.perceptual
+    ).to(run.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    batches = run.batches(FramePairs(dataset, clips, training.augmentation), training.batch)
+    milestones = [round(part * steps) for part in training.milestones]
+    for step in run.steps():
+        run.rate(optimizer, training.rate, milestones)
+        pair = next(batches)  # (B, 2, H, W, 3) uint8
+        source, driving = (
+            from_pixels(x).contiguous(memory_format=torch.channels_last) for x in pair.unbind(1)
+        )
+        terms = objective(source, driving)
+        prediction = terms["prediction"]
+        with run.fabric.autocast():
+            reconstruction = perceptual(prediction, driving)
+        loss = reconstruction + terms["shift"] + terms["affine"]
+        run.backward(loss)
+        optimizer.step()
+        optimizer.zero_grad()
+        run.log(
+            loss=loss,
+            perceptual=reconstruction,
+            shift=terms["shift"],
+            affine=terms["affine"],
+            l1=(prediction - driving).abs().mean(),
+        )
+        if run.fabric.global_rank == 0 and (
+            step % training.sheet_every == 0 or step + 1 == steps
+        ):
+            write_sheet(run.folder / "sheets" / f"{step:07d}.png", renderer, source, driving)
+    return renderer.cpu().eval()

@@ -1,0 +1,61 @@
+"""Random thin-plate transforms for the equivariance losses (FOMM, MRAA)."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from mraa.grid import coordinate_grid, warp
+
+AFFINE_SIGMA = 0.05
+"""Standard deviation of the noise on the affine part."""
+
+PLATE_SIGMA = 0.005
+"""Standard deviation of the thin-plate coefficients."""
+
+PLATE_POINTS = 5
+"""Control points a side, spread over [-1, 1]."""
+
+
+@dataclass(frozen=True)
+class ThinPlate:
+    """A smooth map W of the plane, one for each of B images."""
+
+    theta: Tensor
+    """(B, 2, 3) affine part."""
+    coefficients: Tensor
+    """(B, 1, 25) weights of the control points, the same for x and y."""
+
+    def points(self, coordinates: Tensor) -> Tensor:
+        """W of points (B, n, 2), (x, y) in [-1, 1]: (B, n, 2)."""
+        control = coordinate_grid(PLATE_POINTS, PLATE_POINTS, coordinates.device).view(1, -1, 2)
+        linear = coordinates @ self.theta[:, :, :2].mT + self.theta[:, None, :, 2]
+        distance = (coordinates[:, :, None] - control[:, None]).abs().sum(-1)  # (B, n, 25)
+        radial = distance**2 * torch.log(distance + 1e-6)
+        return linear + (radial * self.coefficients).sum(-1, keepdim=True)
+
+    def image(self, image: Tensor, *, align_corners: bool) -> Tensor:
+        """Image (B, C, H, W) seen through W, reflected at the borders."""
+        batch, _, height, width = image.shape
+        grid = coordinate_grid(height, width, image.device).view(1, -1, 2)
+        flow = self.points(grid.expand(batch, -1, -1)).view(batch, height, width, 2)
+        return warp(image, flow, align_corners=align_corners, padding="reflection")
+
+    def jacobian(self, coordinates: Tensor) -> Tensor:
+        """Derivative of W at points (B, n, 2): (B, n, 2, 2), row = output, column = input.
+
+        Closed form; the sign of a zero offset counts as 0. Differentiable in the points.
+        """
+        control = coordinate_grid(PLATE_POINTS, PLATE_POINTS, coordinates.device).view(1, -1, 2)
+        offset = coordinates[:, :, None] - control[:, None]  # (B, n, 25, 2)
+        distance = offset.abs().sum(-1)
+        slope = 2 * distance * torch.log(distance + 1e-6) + distance**2 / (distance + 1e-6)
+        row = ((slope * self.coefficients)[..., None] * torch.sign(offset)).sum(2)  # (B, n, 2)
+        return self.theta[:, None, :, :2] + row[:, :, None, :]
+
+
+def random_thin_plate(batch: int, device: torch.device | None = None) -> ThinPlate:
+    """Draw B transforms from torch's current random state."""
+    noise = AFFINE_SIGMA * torch.randn(batch, 2, 3, device=device)
+    coefficients = PLATE_SIGMA * torch.randn(batch, 1, PLATE_POINTS**2, device=device)
+    return ThinPlate(noise + torch.eye(2, 3, device=device), coefficients)
