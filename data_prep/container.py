@@ -1,0 +1,58 @@
+"""Opening media files, with every failure told in one line."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import av
+import av.error
+from av.container import InputContainer
+
+from data_prep.errors import BadInput
+
+
+def check_file(path: Path) -> None:
+    """Refuse a path that is no readable, non-empty file.
+
+    Raises:
+        BadInput: missing, a folder, unreadable, or 0 bytes.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise BadInput(f"{path}: no such file; check the name")
+    if path.is_dir():
+        raise BadInput(f"{path}: is a folder; name a file")
+    try:
+        with path.open("rb") as file:
+            empty = not file.read(1)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror})") from error
+    if empty:
+        raise BadInput(f"{path}: is empty (0 bytes); copy or record it again")
+
+
+def describe(error: Exception) -> str:
+    """The part of a decoder's error that tells a person something, on one line."""
+    text = getattr(error, "strerror", None) or str(error)
+    return " ".join(str(text).split()).rstrip(".") or type(error).__name__
+
+
+@contextmanager
+def open_media(path: Path) -> Iterator[InputContainer]:
+    """Open a media file for decoding and close it when the block ends.
+
+    Only the local file itself is read: a playlist that points elsewhere is not followed.
+
+    Raises:
+        BadInput: as `check_file`, or the file is not media.
+    """
+    path = Path(path)
+    check_file(path)
+    options = {"protocol_whitelist": "file"}
+    try:
+        container = av.open(f"file:{path}", mode="r", options=options, metadata_errors="replace")
+    except (av.error.FFmpegError, OSError, ValueError) as error:
+        what = describe(error)
+        raise BadInput(f"{path}: not a recording or video that can be read ({what})") from error
+    with container:
+        yield container

@@ -1,0 +1,175 @@
+"""Video files: what they hold, and their frames at a constant rate."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import av.error
+import numpy as np
+from av.container import InputContainer
+from av.video.frame import VideoFrame
+from av.video.stream import VideoStream
+
+from data_prep.container import describe, open_media
+from data_prep.errors import BadInput
+from data_prep.rates import FPS
+from data_prep.video_writer import VideoWriter
+
+__all__ = ["VideoInfo", "VideoWriter", "probe", "read_frames"]
+
+_STILL_CODECS = ("mjpeg", "png", "bmp", "gif", "webp")
+_ROUNDING = 1.5e-3
+"""Seconds by which containers round timestamps (Matroska keeps milliseconds)."""
+
+_BT709, _UNSPECIFIED, _BT601 = 1, 2, 5
+_HD_HEIGHT = 720
+
+
+@dataclass(frozen=True)
+class VideoInfo:
+    """What a video file holds.
+
+    Attributes:
+        width: pixels across, upright and with square pixels, as `read_frames` gives them.
+        height: pixels down.
+        fps: mean frame rate of the file.
+        duration: seconds of picture, as the file declares it.
+        has_sound: whether there is a sound track.
+        start: presentation time of the first frame in seconds; `origin` for `read_sound`.
+    """
+
+    width: int
+    height: int
+    fps: float
+    duration: float
+    has_sound: bool
+    start: float
+
+
+def _picture_stream(path: Path, container: InputContainer) -> VideoStream:
+    """The first stream of moving pictures; cover art does not count."""
+    for stream in container.streams.video:
+        context = stream.codec_context
+        still = context is not None and context.name in _STILL_CODECS
+        if context is not None and not (still and not stream.average_rate):
+            context.thread_type = "AUTO"
+            return stream
+    raise BadInput(f"{path}: has no moving picture; give a video")
+
+
+def _decode(path: Path, container: InputContainer, stream: VideoStream) -> Iterator[VideoFrame]:
+    try:
+        yield from container.decode(stream)
+    except (av.error.FFmpegError, OSError, ValueError) as error:
+        raise BadInput(
+            f"{path}: the picture is damaged ({describe(error)}); copy or convert the video again"
+        ) from error
+
+
+def _quarter_turns(frame: VideoFrame) -> int:
+    """Quarter turns counterclockwise that put the frame upright."""
+    return round(frame.rotation / 90) % 4
+
+
+def _square_pixel_width(stream: VideoStream, width: int) -> int:
+    aspect = stream.sample_aspect_ratio
+    return round(width * aspect) if aspect else width
+
+
+def _to_rgb(frame: VideoFrame, stream: VideoStream) -> np.ndarray:
+    """The frame upright as `(H, W, 3)` uint8 RGB, in the colours its tags (or its size) tell."""
+    matrix = int(frame.colorspace)
+    if matrix in (0, _UNSPECIFIED):
+        matrix = _BT709 if frame.height >= _HD_HEIGHT else _BT601
+    rgb = frame.reformat(
+        width=_square_pixel_width(stream, frame.width),
+        format="rgb24",
+        src_colorspace=matrix,
+        interpolation="BICUBIC",
+    ).to_ndarray()
+    turns = _quarter_turns(frame)
+    return np.ascontiguousarray(np.rot90(rgb, turns)) if turns else rgb
+
+
+def probe(path: Path) -> VideoInfo:
+    """Look at a video file without decoding more than its first frame.
+
+    Raises:
+        BadInput: missing, a folder, 0 bytes, not media, without moving picture, or damaged.
+    """
+    path = Path(path)
+    with open_media(path) as container:
+        stream = _picture_stream(path, container)
+        frame = next(_decode(path, container, stream), None)
+        if frame is None:
+            raise BadInput(f"{path}: holds no frames; give another video")
+        width, height = _square_pixel_width(stream, frame.width), frame.height
+        if _quarter_turns(frame) % 2:
+            width, height = height, width
+        start = _time(frame, 0.0)
+        if stream.duration is not None and stream.time_base is not None:
+            duration = float(stream.duration * stream.time_base)
+        else:
+            duration = (container.duration or 0) / av.time_base
+        rate = float(stream.average_rate or stream.guessed_rate or 0)
+        sound = bool(container.streams.audio)
+        return VideoInfo(width, height, rate, duration, sound, start)
+
+
+def _time(frame: VideoFrame, otherwise: float) -> float:
+    if frame.pts is None or frame.time_base is None:
+        return otherwise
+    return float(frame.pts * frame.time_base)
+
+
+def read_frames(path: Path, fps: float = FPS) -> Iterator[np.ndarray]:
+    """Read a video at a constant rate by presentation time.
+
+    Frame k of the result is what a player shows k / fps seconds after the video's first frame:
+    the newest frame whose time has come. Slower sources repeat frames, faster ones skip.
+
+    Args:
+        path: any container and codec that FFmpeg decodes; one frame is held at a time.
+        fps: frames a second of the result.
+
+    Yields:
+        frames `(H, W, 3)` uint8 RGB, upright, with square pixels.
+
+    Raises:
+        BadInput: missing, a folder, 0 bytes, not media, without moving picture, or damaged.
+    """
+    path = Path(path)
+    with open_media(path) as container:
+        stream = _picture_stream(path, container)
+        step = 1.0 / float(stream.average_rate or stream.guessed_rate or fps)
+        shown: VideoFrame | None = None
+        start = time = 0.0
+        count = 0
+        for frame in _decode(path, container, stream):
+            if shown is None:
+                start = time = _time(frame, 0.0)
+            else:
+                time = max(_time(frame, time + step), time)
+                rgb = None
+                while start + count / fps < time - _ROUNDING:
+                    rgb = _to_rgb(shown, stream) if rgb is None else rgb.copy()
+                    yield rgb
+                    count += 1
+            shown = frame
+        if shown is None:
+            raise BadInput(f"{path}: holds no frames; give another video")
+        end = time + _shown_for(shown, step)
+        rgb = None
+        while start + count / fps < end - _ROUNDING:
+            rgb = _to_rgb(shown, stream) if rgb is None else rgb.copy()
+            yield rgb
+            count += 1
+
+
+def _shown_for(frame: VideoFrame, otherwise: float) -> float:
+    """Seconds for which the last frame is shown."""
+    duration = getattr(frame, "duration", None)
+    if not duration or frame.time_base is None:
+        return otherwise
+    seconds = float(duration * frame.time_base)
+    return seconds if 0 < seconds <= 1 else otherwise
