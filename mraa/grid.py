@@ -1,5 +1,7 @@
 """The one coordinate convention: (x right, y down) in [-1, 1], corners at the corner pixels."""
 
+from typing import Any
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -16,6 +18,23 @@ def coordinate_grid(height: int, width: int, device: torch.device | None = None)
     return torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1)
 
 
+class _Planar(torch.autograd.Function):
+    """Channels-last float32 image to planes, which grid_sample works on, and its gradient back.
+
+    Without it the layouts of activations and gradients mix from here on, and every batch norm
+    and addition after a warp takes a slow path.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, image: Tensor) -> Tensor:
+        ctx.dtype = image.dtype
+        return image.to(torch.float32, memory_format=torch.contiguous_format)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
+        return gradients[0].to(ctx.dtype, memory_format=torch.channels_last)
+
+
 def warp(image: Tensor, flow: Tensor, *, align_corners: bool, padding: str = "zeros") -> Tensor:
     """Sample `image` at the coordinates `flow` (backward warping), bilinear, in float32.
 
@@ -29,15 +48,17 @@ def warp(image: Tensor, flow: Tensor, *, align_corners: bool, padding: str = "ze
     Returns:
         (B, C, h, w), dtype of `image`.
     """
+    interleaved = image.is_contiguous(memory_format=torch.channels_last)
     with torch.autocast(image.device.type, enabled=False):
         sampled = F.grid_sample(
-            image.float(),
+            _Planar.apply(image) if interleaved else image.float(),
             flow.float(),
             mode="bilinear",
             padding_mode=padding,
             align_corners=align_corners,
         )
-    return sampled.to(image.dtype)
+    layout = torch.channels_last if interleaved else torch.contiguous_format
+    return sampled.to(image.dtype, memory_format=layout)
 
 
 def resize_flow(flow: Tensor, height: int, width: int, *, align_corners: bool) -> Tensor:
