@@ -35,13 +35,22 @@ class RunConfig:
     devices: int = 1
     """Processes on this machine; under torchrun its world size rules."""
     precision: str = "32-true"
-    """Lightning Fabric's names: "32-true", "bf16-mixed", "16-mixed"."""
+    """Lightning Fabric's names: "32-true", "bf16-mixed", "16-mixed"; the command also knows
+    "auto", see `native_precision`."""
     workers: int = 0
     """Processes that load data, each."""
     checkpoint_seconds: float = 120.0
     """Longest work that a kill can lose."""
     log_every: int = 10
     """Steps between points of the curves."""
+
+
+def native_precision(device: str = "auto") -> str:
+    """"bf16-mixed" where the device computes in bfloat16 natively, else "32-true"."""
+    if device != "cpu" and torch.cuda.is_available():
+        return "bf16-mixed" if torch.cuda.is_bf16_supported() else "32-true"
+    flags = torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported()
+    return "bf16-mixed" if flags else "32-true"
 
 
 class _StepSampler(Sampler[list[tuple[int, int]]]):
@@ -180,6 +189,7 @@ class Run:
             num_workers=self.config.workers,
             pin_memory=_cuda(self),
             persistent_workers=self.config.workers > 0,
+            generator=torch.Generator().manual_seed(self.seed),  # leaves the step's own alone
         )
         for batch in loader:
             yield self.fabric.to_device(batch)
