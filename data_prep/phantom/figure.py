@@ -1,0 +1,158 @@
+"""The picture: background, body, head, desk, arms and hands put together, frame by frame."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from data_prep.phantom import limbs, scene
+from data_prep.phantom.head import HEAD, Head
+from data_prep.phantom.paint import Array, Canvas
+from data_prep.phantom.presenters import Presenter, Setting
+from data_prep.phantom.skeleton import (
+    SIDES,
+    Course,
+    Joints,
+    body_transform,
+    head_transform,
+    joints,
+    to_picture,
+)
+from data_prep.phantom.texture import cloth
+from data_prep.phantom.torso import TILE_DENSITY, TORSO, torso
+
+HEIGHT, WIDTH = scene.HEIGHT, scene.WIDTH
+_REACH = {"long": 1.96, "rolled": 1.45, "short": 0.55}
+_GRAINS = 5
+
+
+def _homogeneous(matrix: NDArray) -> NDArray:
+    return np.concatenate([matrix, [[0.0, 0.0, 1.0]]])
+
+
+def _paste(frame: Array, sprite: NDArray[np.uint8], matrix: NDArray) -> None:
+    """Lay a sprite over the frame through an affine (2, 3) from sprite to frame pixels."""
+    h, w = sprite.shape[:2]
+    corners = np.array([[0, 0, 1], [w, 0, 1], [0, h, 1], [w, h, 1]]) @ matrix.T
+    where = limbs.region(corners, 1, HEIGHT, WIDTH)
+    if where is None:
+        return
+    moved = matrix.copy()
+    moved[:, 2] -= (where.columns.start, where.rows.start)
+    size = (where.x.shape[1], len(where.y))
+    image = cv2.warpAffine(sprite, moved, size, flags=cv2.INTER_LINEAR).astype(np.float32)
+    view = frame[where.rows, where.columns]
+    view += (image[..., :3] - view) * (image[..., 3:] * (1 / 255))
+
+
+def _premask(sprite: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Spread the colours of a sprite beyond its edge so that resampling does not darken it."""
+    colour = sprite[..., :3].copy()
+    empty = (sprite[..., 3] < 8).astype(np.uint8)
+    if 0 < empty.sum() < empty.size:
+        weight = cv2.GaussianBlur(1.0 - empty.astype(np.float32), (0, 0), 4)
+        full = colour.astype(np.float32) * (1 - empty)[..., None]
+        spread = cv2.GaussianBlur(full, (0, 0), 4) / np.maximum(weight, 1e-3)[..., None]
+        colour = np.where(empty[..., None] > 0, np.clip(spread, 0, 255), colour).astype(np.uint8)
+    return np.dstack([colour, sprite[..., 3]])
+
+
+class Figure:
+    """A presenter in a setting, ready to be drawn in any pose of a course.
+
+    Args:
+        who: the presenter.
+        place: clothes, background and light.
+        course: pose of T frames.
+        seed: of everything drawn at random (textures, wrinkles, background, grain).
+    """
+
+    def __init__(self, who: Presenter, place: Setting, course: Course, seed: list[int]) -> None:
+        rng = np.random.default_rng(seed)
+        self.who, self.place, self.course = who, place, course
+        first, second = np.asarray(place.first), np.asarray(place.second)
+        contrast = 0.75 if place.garment == "blazer" else 1.0
+        tile = cloth(rng, place.pattern, first, second, contrast)
+        self.tile = (tile * 255).astype(np.float32)
+        self.torso = _premask(torso(who.look, place, tile, rng))
+        self.head = Head(who.look, place, rng)
+        self.back = _premask(self.head.back) if self.head.back.any() else None
+        lens = scene.lens(place, rng)
+        self.lens = lens
+        self.ground = scene.background(place, rng) * 255
+        self.desk = scene.desk(place, rng) * 255 if place.seated else None
+        self.grain = [
+            (rng.standard_normal((HEIGHT, WIDTH, 1)) * place.grain).astype(np.float32)
+            for _ in range(_GRAINS)
+        ]
+        self.joints: Joints = joints(course, who.look, place, WIDTH)
+        self._body, self._head = body_transform(course), head_transform(course)
+        x, y = HEAD.grid()
+        dome = np.sqrt(np.maximum(0, 1 - (x / 44) ** 2 - ((y - 2) / 58) ** 2))
+        self._dome = (dome * 30 * HEAD.density).astype(np.float32)
+        self._relief = cv2.GaussianBlur(self._dome, (0, 0), 5)
+        self._row, self._column = np.mgrid[0 : HEAD.shape[0], 0 : HEAD.shape[1]].astype(np.float32)
+
+    def _matrix(self, canvas: Canvas, transform: NDArray) -> NDArray:
+        """Affine (2, 3) from sprite pixels on a canvas to frame pixels."""
+        d = canvas.density
+        units = np.array(
+            [[1 / d, 0, canvas.x0 + 0.5 / d], [0, 1 / d, canvas.y0 + 0.5 / d], [0, 0, 1]]
+        )
+        origin = to_picture(np.zeros(2), np.ones(()), self.place, WIDTH)
+        z = self.place.zoom
+        picture = np.array([[z, 0, origin[0]], [0, z, origin[1]]])
+        return picture @ _homogeneous(transform) @ units
+
+    def _turned(self, sprite: NDArray[np.uint8], yaw: float, pitch: float) -> NDArray[np.uint8]:
+        """The head's sprite with its middle shifted as a turned dome would be."""
+        map_x = self._column - np.float32(np.sin(yaw)) * self._relief
+        map_y = self._row - np.float32(np.sin(pitch)) * self._relief
+        return cv2.remap(sprite, map_x, map_y, cv2.INTER_LINEAR)  # type: ignore[return-value]
+
+    def _arm(self, frame: Array, t: int, hand: int) -> None:
+        look, place = self.who.look, self.place
+        points = self.joints.points[t, 4 + 4 * hand : 8 + 4 * hand]
+        depth = self.joints.depth[t, 4 + 4 * hand : 8 + 4 * hand] * place.zoom
+        girth = look.girth
+        radii = (20.5 * girth * depth[0], 15.5 * girth * depth[1], 10.0 * girth * depth[2])
+        offset = (-18 * place.light[0], 8 - 6 * place.light[1])
+        limbs.shadow(frame, points[:3], 17 * girth, offset, 0.34)
+        limbs.shadow(frame, points[2:], 16, offset, 0.30)
+        loose = {"blazer": 1.12, "sweater": 1.12, "shirt": 1.08}.get(place.garment, 1.05)
+        skin = tuple(255 * c for c in look.skin)
+        sleeve = limbs.Sleeve(self.tile, TILE_DENSITY, _REACH[place.sleeve], skin, loose)
+        lengths = (float(self.joints.sleeve[t, hand, 0]), float(self.joints.sleeve[t, hand, 1]))
+        course = self.course
+        limbs.hand(
+            frame,
+            points[2],
+            float(course.angle[t, hand]),
+            float(depth[2]) * (0.94 + 0.06 * girth),
+            course.shape[t, hand],
+            float(course.turn[t, hand] * -SIDES[hand]),
+            float(course.fore[t, hand]),
+            skin,
+            place.light,
+        )
+        limbs.arm(frame, points[:3], lengths, radii, sleeve, place.light)
+
+    def frame(self, t: int) -> NDArray[np.uint8]:
+        """Picture t of the course, (HEIGHT, WIDTH, 3) uint8 RGB."""
+        canvas = self.ground.copy()
+        head = self._matrix(HEAD, self._head[t])
+        if self.back is not None:
+            _paste(canvas, self.back, head)
+        _paste(canvas, self.torso, self._matrix(TORSO, self._body[t]))
+        yaw, pitch = float(self.course.head[t, 0]), float(self.course.head[t, 1])
+        closed, lift, gap, width = (float(v) for v in self.course.face[t])
+        sprite = self.head.sprite(closed, lift, gap, width)
+        _paste(canvas, self._turned(sprite, yaw, pitch), head)
+        if self.desk is not None:
+            canvas[scene.DESK_ROW :] = self.desk
+        for hand in (1, 0) if self.who.style.right_hand >= 0.5 else (0, 1):
+            self._arm(canvas, t, hand)
+        canvas *= self.lens
+        if self.place.blur > 0.3:
+            canvas = cv2.GaussianBlur(canvas, (0, 0), self.place.blur)  # type: ignore[assignment]
+        canvas += self.grain[t % _GRAINS]
+        return np.clip(canvas + 0.5, 0, 255).astype(np.uint8)

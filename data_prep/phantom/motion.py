@@ -1,0 +1,202 @@
+"""From strokes and sound to the course of the pose: minimum-jerk paths, beats, nods and breath."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_prep.phantom.formant import CONTROL
+from data_prep.phantom.gesture import REST, TEMPLATES, Stroke, Template
+from data_prep.phantom.limbs import SHAPES
+from data_prep.phantom.presenters import Style
+from data_prep.phantom.skeleton import SIDES, Course
+from data_prep.phantom.speech import Speech
+from data_prep.rates import FPS
+
+_HOLD = 0.75
+"""Gaps between strokes up to this many seconds of silence are bridged by holding the pose."""
+
+_RETURN = 0.55
+"""Seconds that a hand takes back to rest."""
+
+
+def minimum_jerk(share: NDArray) -> NDArray:
+    """Progress of a movement at a share of its time, both in [0, 1] (Flash and Hogan 1985)."""
+    s = np.clip(share, 0, 1)
+    return s * s * s * (10 - 15 * s + 6 * s * s)
+
+
+@dataclass
+class _Path:
+    """Key poses of one hand: time and x, y, z, angle, turn, fore and six of shape."""
+
+    times: list[float] = field(default_factory=list)
+    poses: list[NDArray] = field(default_factory=list)
+    bulges: list[NDArray] = field(default_factory=list)
+
+    def to(self, time: float, pose: NDArray, bulge: NDArray | None = None) -> None:
+        """Be at `pose` at `time`; the way there bows out by `bulge` (3,)."""
+        if self.times and time <= self.times[-1] + 1e-6:
+            raise ValueError(f"key pose at {time:.3f} s is not after {self.times[-1]:.3f} s")
+        self.times.append(time)
+        self.poses.append(pose)
+        self.bulges.append(np.zeros(3) if bulge is None else bulge)
+
+    def wait(self, time: float) -> None:
+        """Stay where the hand is until `time`, when that is later."""
+        if time > self.times[-1] + 1e-6:
+            self.to(time, self.poses[-1])
+
+    def sample(self, at: NDArray) -> NDArray:
+        """Poses (n, 12) at times (n,)."""
+        times, poses = np.array(self.times), np.array(self.poses)
+        index = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2)
+        share = (at - times[index]) / (times[index + 1] - times[index])
+        progress = minimum_jerk(share)[:, None]
+        out = poses[index] + (poses[index + 1] - poses[index]) * progress
+        out[:, :3] += np.array(self.bulges)[index + 1] * (np.sin(np.pi * progress) ** 2)
+        return out
+
+
+def _pose(template: Template, apex: bool, second: bool, side: float, style: Style) -> NDArray:
+    """Key pose (12,) of one hand of a template in body units."""
+    place = template.apex if apex else template.prep
+    if second and template.other is not None:
+        place = template.other[1 if apex else 0]
+    x, y, z = place
+    if template is not REST:
+        centre = np.array([62.0, 94.0, 80.0])
+        x, y, z = centre + (np.array(place) - centre) * (0.25 + 0.75 * style.amplitude)
+        y += style.height
+    angle = np.radians(template.angle[1 if apex else 0])
+    if side < 0:
+        angle = -np.pi - angle
+    head = np.array([side * x, y, z, angle, template.turn, template.fore])
+    return np.concatenate([head, SHAPES[template.shape]])
+
+
+def _course_of_hand(
+    hand: int, strokes: list[Stroke], speech: Speech, style: Style, rng: np.random.Generator
+) -> _Path:
+    side = float(SIDES[hand])
+    rest = _pose(REST, False, False, side, style)
+    path = _Path()
+    path.to(-1.0, rest)
+    ends = [end for _, end in speech.phrases]
+    mine = [stroke for stroke in strokes if hand in stroke.hands]
+    for number, stroke in enumerate(mine):
+        template = TEMPLATES[stroke.label]
+        second = stroke.hands[0] != hand
+        shift = np.concatenate([rng.normal(0, 4, 3), np.zeros(9)])
+        prep = _pose(template, False, second, side, style) + shift
+        apex = _pose(template, True, second, side, style) + shift
+        path.wait(stroke.onset)
+        path.to(stroke.prepared, prep)
+        bulge = np.array(template.bulge) * np.array([side, 1, 1]) * style.amplitude
+        path.to(stroke.apex, apex, bulge)
+        path.to(stroke.end, apex + 0.13 * (prep - apex))
+        after = mine[number + 1].onset if number + 1 < len(mine) else np.inf
+        phrase_end = ends[speech.words[stroke.word].phrase]
+        leave = max(stroke.end, min(phrase_end + 0.1, stroke.end + 1.4))
+        if after - leave > _HOLD:
+            path.wait(leave)
+            path.to(leave + _RETURN, rest)
+    path.wait(speech.duration + 2.0)
+    if len(path.times) < 2:
+        path.to(speech.duration + 2.0, rest)
+    return path
+
+
+def _pulses(at: NDArray, beats: NDArray, size: NDArray, down: float, back: float) -> NDArray:
+    """Sum (n,) of strokes that reach their size at each beat and die away after it."""
+    rise = minimum_jerk((at[:, None] - beats + down) / down)
+    fall = minimum_jerk((at[:, None] - beats) / back)
+    return ((rise - fall) * size).sum(1)
+
+
+def _wander(at: NDArray, speech: Speech, size: float, rng: np.random.Generator) -> NDArray:
+    """Slow drift (n,): a new value with each phrase, zero in long silences."""
+    path, now = np.zeros(len(at)), 0.0
+    spans = speech.phrases
+    for index, (start, end) in enumerate(spans):
+        goal = float(rng.normal(0, size))
+        path += (goal - now) * minimum_jerk((at - start) / 0.7)
+        now = goal
+        quiet = index + 1 == len(spans) or spans[index + 1][0] - end > _HOLD
+        if quiet:
+            path += -now * minimum_jerk((at - end) / 0.6)
+            now = 0.0
+    return path
+
+
+def _face(at: NDArray, speech: Speech, accents: NDArray, rng: np.random.Generator) -> NDArray:
+    """Eyelids, brows, mouth gap and mouth width (n, 4)."""
+    blinks, now = [], float(rng.uniform(0.3, 2.5))
+    while now < speech.duration:
+        blinks.append(now)
+        now += float(rng.uniform(1.8, 5.0))
+    closed = _pulses(at, np.array(blinks), np.ones(len(blinks)), 0.09, 0.16)
+    strong = rng.random(len(accents)) < 0.3
+    size = strong * rng.uniform(0.4, 1.0, len(accents))
+    lift = 0.12 + _pulses(at, accents, size, 0.2, 0.45)
+    ticks = (np.arange(len(speech.opening)) + 0.5) / CONTROL
+    samples = speech.samples.reshape(len(speech.opening), -1)
+    loud = np.sqrt((samples**2).mean(1))
+    loud = np.minimum(loud / max(float(np.percentile(loud, 92)), 1e-6), 1.2) ** 0.6
+    loud = np.convolve(loud, np.hanning(9) / np.hanning(9).sum(), "same")
+    gap = np.interp(at, ticks, speech.opening * (0.25 + 0.75 * loud))
+    width = 0.55 + np.interp(at, ticks, (speech.spread - 0.55) * (speech.opening > 0.02))
+    return np.stack([closed, lift, gap, width], 1)
+
+
+def course(speech: Speech, strokes: list[Stroke], style: Style, rng: np.random.Generator) -> Course:
+    """The pose in every frame of the speech.
+
+    Hands follow the strokes and, between them, beat a little on every stressed syllable that has
+    no stroke; the head nods with the accents; body and head drift with each phrase; in silence
+    nothing but the breath moves.
+
+    Args:
+        speech: words, beats and mouth.
+        strokes: as `gesture.schedule` gives them.
+        style: of the presenter.
+        rng: source of randomness.
+    """
+    frames = round(speech.duration * FPS)
+    at = np.arange(frames) / FPS
+    beats = speech.beats
+    accents = rng.uniform(0.6, 1.2, len(beats))
+    hands = []
+    for hand in (0, 1):
+        pose = _course_of_hand(hand, strokes, speech, style, rng).sample(at)
+        busy = [(s.onset, s.end) for s in strokes if hand in s.hands]
+        free = np.array([not any(a - 0.05 < b < e + 0.12 for a, e in busy) for b in beats], bool)
+        raised = np.interp(beats, at, 152 - pose[:, 1]) > 20
+        share = 1.0 if hand == (0 if style.right_hand >= 0.5 else 1) else 0.6
+        size = free * accents * style.bounce * share * np.where(raised, 11.0, 6.0)
+        bounce = _pulses(at, beats, size, 0.16, 0.28)
+        pose[:, 1] += bounce * np.where(raised.any(), 1.0, 1.0)
+        hands.append(pose)
+    both = np.stack(hands, 1)
+    breath = np.sin(2 * np.pi * (0.27 * at + rng.random()))
+    nod = style.nod * _pulses(at, beats, accents, 0.16, 0.30)
+    head = np.stack([
+        _wander(at, speech, 0.10, rng),
+        0.10 * nod + _wander(at, speech, 0.04, rng),
+        _wander(at, speech, 0.035, rng) + 0.01 * nod,
+    ], 1)  # fmt: skip
+    sway = np.stack([
+        _wander(at, speech, 4.0 * style.sway, rng), 0.7 * breath + 0.9 * nod,
+    ], 1)  # fmt: skip
+    lean = _wander(at, speech, 0.014 * style.sway, rng)
+    return Course(
+        sway=sway.astype(np.float32),
+        lean=lean.astype(np.float32),
+        head=head.astype(np.float32),
+        wrists=both[:, :, :3].astype(np.float32),
+        angle=both[:, :, 3].astype(np.float32),
+        turn=both[:, :, 4].astype(np.float32),
+        fore=both[:, :, 5].astype(np.float32),
+        shape=both[:, :, 6:].astype(np.float32),
+        face=_face(at, speech, beats, rng).astype(np.float32),
+    )

@@ -1,0 +1,135 @@
+"""Painting still layers: smooth outlines, inflated shading and soft compositing.
+
+Every layer lives on a `Canvas`, a raster of a rectangle given in figure units (one hundredth of
+the height of a head, x right, y down). Colours are float32 RGB in [0, 1].
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """A raster over the rectangle [x0, x1] by [y0, y1], `density` pixels a unit."""
+
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+    density: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        return (
+            round((self.y1 - self.y0) * self.density),
+            round((self.x1 - self.x0) * self.density),
+        )
+
+    def grid(self) -> tuple[Array, Array]:
+        """Unit coordinates of the pixel centres: x (1, W) and y (H, 1)."""
+        height, width = self.shape
+        x = self.x0 + (np.arange(width, dtype=np.float32) + 0.5) / self.density
+        y = self.y0 + (np.arange(height, dtype=np.float32) + 0.5) / self.density
+        return x[None, :].astype(np.float32), y[:, None].astype(np.float32)
+
+    def pixels(self, points: NDArray) -> Array:
+        """Unit points (n, 2) to pixel coordinates (n, 2), pixel centres at whole numbers."""
+        origin = np.array([self.x0, self.y0], np.float32)
+        return ((np.asarray(points, np.float32) - origin) * self.density - 0.5).astype(np.float32)
+
+    def fill(self, points: NDArray, soft: float = 0.0) -> Array:
+        """Coverage (H, W) in [0, 1] of a polygon (n, 2) in units, blurred by `soft` units."""
+        mask = np.zeros(self.shape, np.uint8)
+        fixed = np.round(self.pixels(points) * 256).astype(np.int32)
+        cv2.fillPoly(mask, [fixed], (255,), cv2.LINE_AA, 8)
+        return blur(mask.astype(np.float32) / 255, soft * self.density)
+
+    def stroke(self, points: NDArray, width: float, soft: float = 0.0) -> Array:
+        """Coverage (H, W) of an open line (n, 2) of `width` units."""
+        mask = np.zeros(self.shape, np.uint8)
+        fixed = np.round(self.pixels(points) * 256).astype(np.int32)
+        thick = max(1, round(width * self.density))
+        cv2.polylines(mask, [fixed], False, (255,), thick, cv2.LINE_AA, 8)
+        return blur(mask.astype(np.float32) / 255, soft * self.density)
+
+
+def blur(image: Array, sigma: float) -> Array:
+    """Gaussian blur of (H, W) or (H, W, C) by `sigma` pixels; nothing below a tenth of one."""
+    if sigma < 0.1:
+        return image
+    return cv2.GaussianBlur(image, (0, 0), sigma)  # type: ignore[return-value]
+
+
+def smooth(points: list[tuple[float, float]], closed: bool = True, steps: int = 12) -> Array:
+    """Catmull-Rom curve (n * steps, 2) through the points."""
+    p = np.asarray(points, np.float32)
+    if closed:
+        before, after, far = np.roll(p, 1, 0), np.roll(p, -1, 0), np.roll(p, -2, 0)
+    else:
+        padded = np.concatenate([p[:1], p, p[-1:], p[-1:]])
+        before, p, after, far = padded[:-3], padded[1:-2], padded[2:-1], padded[3:]
+    t = np.linspace(0, 1, steps, endpoint=False, dtype=np.float32)[:, None, None]
+    curve = 0.5 * (
+        2 * p
+        + (after - before) * t
+        + (2 * before - 5 * p + 4 * after - far) * t**2
+        + (3 * p - before - 3 * after + far) * t**3
+    )
+    return curve.transpose(1, 0, 2).reshape(-1, 2)
+
+
+def mirrored(right: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """An outline symmetric in x from its half with x >= 0, given from top to bottom."""
+    return right + [(-x, y) for x, y in reversed(right) if x > 0]
+
+
+def inflate(mask: Array, radius: float, soft: float = 2.0) -> Array:
+    """Height (H, W) in pixels of a pillow over the mask, round within `radius` of the edge."""
+    inside = (mask > 0.5).astype(np.uint8)
+    distance = cv2.distanceTransform(inside, cv2.DIST_L2, 5)
+    rim = 1 - np.minimum(distance / radius, 1)
+    return blur((radius * np.sqrt(1 - rim * rim)).astype(np.float32), soft)
+
+
+def lambert(height: Array, light: tuple[float, float, float], ambient: float = 0.45) -> Array:
+    """Diffuse light (H, W), about 1 where the surface faces the viewer.
+
+    Args:
+        height: (H, W) in pixels, towards the viewer.
+        light: unit vector towards the light, x right, y down, z to the viewer.
+        ambient: share of light that comes from everywhere.
+    """
+    dx = cv2.Sobel(height, cv2.CV_32F, 1, 0, scale=1 / 8)
+    dy = cv2.Sobel(height, cv2.CV_32F, 0, 1, scale=1 / 8)
+    facing = (light[2] - dx * light[0] - dy * light[1]) / np.sqrt(1 + dx * dx + dy * dy)
+    return (ambient + (1 - ambient) * np.maximum(facing, 0) / light[2]).astype(np.float32)
+
+
+def over(base: Array, colour: NDArray | tuple[float, float, float], mask: Array) -> None:
+    """Lay a colour, (3,) or (H, W, 3), over `base` (H, W, 3) in place where `mask` (H, W) says."""
+    base += (np.asarray(colour, np.float32) - base) * mask[..., None]
+
+
+def cover(sprite: Array, colour: NDArray | tuple[float, float, float], mask: Array) -> None:
+    """`over` for a sprite (H, W, 4) whose fourth channel is coverage, not premultiplied."""
+    old = sprite[..., 3]
+    new = mask + old * (1 - mask)
+    share = mask / np.maximum(new, 1e-4)
+    sprite[..., :3] += (np.asarray(colour, np.float32) - sprite[..., :3]) * share[..., None]
+    sprite[..., 3] = new
+
+
+def darken(sprite: Array, mask: Array, amount: float) -> None:
+    """Multiply the colours of a sprite in place by 1 - amount where `mask` (H, W) says."""
+    sprite[..., :3] *= (1 - amount * mask)[..., None]
+
+
+def bump(x: Array, y: Array, cx: float, cy: float, sx: float, sy: float) -> Array:
+    """Gaussian hill (H, W) of height one at (cx, cy) with widths (sx, sy)."""
+    return np.exp(-0.5 * (((x - cx) / sx) ** 2 + ((y - cy) / sy) ** 2)).astype(np.float32)

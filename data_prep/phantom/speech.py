@@ -1,0 +1,166 @@
+"""Speech of the phantom: samples, word times, stressed syllables and the mouth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from data_prep.phantom.formant import CONTROL, RATE, Controls, synthesise
+from data_prep.phantom.lexicon import LEXICON
+from data_prep.phantom.phones import Segment, segments
+from data_prep.phantom.presenters import Voice
+from data_prep.phantom.script import Phrase
+
+_LEAD = 0.6
+"""Seconds of silence before the first word."""
+
+
+@dataclass(frozen=True)
+class Word:
+    """A word as it was said; times in seconds."""
+
+    word: str
+    start: float
+    end: float
+    beats: tuple[float, ...]  # onsets of its stressed vowels
+    phrase: int
+
+
+@dataclass(frozen=True)
+class Speech:
+    """A recording with what is known about it."""
+
+    samples: NDArray[np.float32]  # (N,) mono in [-1, 1]
+    rate: int
+    words: list[Word]
+    opening: NDArray[np.float32]  # (C,) of the mouth at CONTROL a second, 0 to 1
+    spread: NDArray[np.float32]  # (C,) of the lips, 0 rounded to 1 spread
+
+    @property
+    def duration(self) -> float:
+        """Seconds."""
+        return len(self.samples) / self.rate
+
+    @property
+    def beats(self) -> NDArray[np.float64]:
+        """Onsets (n,) of all stressed vowels, seconds."""
+        return np.array([beat for word in self.words for beat in word.beats])
+
+    @property
+    def phrases(self) -> list[tuple[float, float]]:
+        """Start and end of each phrase, seconds."""
+        spans: dict[int, tuple[float, float]] = {}
+        for word in self.words:
+            start, _ = spans.get(word.phrase, (word.start, 0.0))
+            spans[word.phrase] = (start, word.end)
+        return [spans[key] for key in sorted(spans)]
+
+
+def _phrase_segments(phrase: Phrase) -> list[list[Segment]]:
+    out = []
+    for index, word in enumerate(phrase.words):
+        last = index == len(phrase.words) - 1
+        following = None if last else LEXICON[phrase.words[index + 1]][0].rstrip("01")
+        out.append(segments(LEXICON[word], following, 1.5 if last else 1.0))
+    return out
+
+
+def _timed(
+    phrases: list[Phrase], voice: Voice
+) -> tuple[list[Word], list[tuple[float, Segment]], float]:
+    """Words, segments with their start times, and the whole duration."""
+    now, words, track = _LEAD, [], []
+    for number, phrase in enumerate(phrases):
+        for word, parts in zip(phrase.words, _phrase_segments(phrase), strict=True):
+            start, beats = now, []
+            for part in parts:
+                if part.nucleus and part.stress:
+                    beats.append(now)
+                track.append((now, part))
+                now += part.duration / voice.rate
+            words.append(Word(word, start, now, tuple(beats), number))
+        now += phrase.pause
+    return words, track, now
+
+
+def _pitch(
+    words: list[Word], phrases: list[Phrase], voice: Voice, at: NDArray, rng: np.random.Generator
+) -> NDArray:
+    """Fundamental frequency (C,): declination, accents on stressed vowels, final fall."""
+    semitones = np.zeros(len(at))
+    for number, phrase in enumerate(phrases):
+        mine = [word for word in words if word.phrase == number]
+        start, end = mine[0].start, mine[-1].end
+        inside = (at >= start - 0.1) & (at <= end + 0.1)
+        share = np.clip((at - start) / max(end - start, 0.2), 0, 1)
+        line = 2.0 - 4.5 * share
+        tail = np.clip((at - (end - 0.28)) / 0.28, 0, 1)
+        line = line + (-3.5 if phrase.final else 2.5) * tail**1.5
+        for word in mine:
+            for beat in word.beats:
+                height = voice.span * float(rng.uniform(0.5, 1.1))
+                line = line + height * np.exp(-0.5 * ((at - beat - 0.06) / 0.075) ** 2)
+        semitones = np.where(inside, line, semitones)
+    semitones = gaussian_filter1d(semitones, 0.02 * CONTROL)
+    return voice.pitch * 2 ** (semitones / 12)
+
+
+def _tracks(track: list[tuple[float, Segment]], voice: Voice, count: int) -> dict[str, NDArray]:
+    """Control tracks (count,) or (count, n), smoothed as articulators move."""
+    at = (np.arange(count) + 0.5) / CONTROL
+    starts = np.array([start for start, _ in track])
+    ends = starts + np.array([part.duration for _, part in track]) / voice.rate
+    index = np.clip(np.searchsorted(starts, at, side="right") - 1, 0, len(track) - 1)
+    said = (at >= starts[0]) & (at < ends[index])
+    parts = [part for _, part in track]
+    share = np.clip((at - starts[index]) / (ends - starts)[index], 0, 1)
+    first = np.array([p.start for p in parts], float)[index]
+    second = np.array([p.end for p in parts], float)[index]
+    level = np.array(
+        [(p.voicing, p.breath, p.friction, p.open, p.spread, p.broad) for p in parts], float
+    )[index]
+    level[~said, :4] = 0
+    fast, slow = 0.006 * CONTROL, 0.016 * CONTROL
+    return {
+        "formants": gaussian_filter1d(first + (second - first) * share[:, None], slow, axis=0),
+        "voicing": gaussian_filter1d(level[:, 0], fast),
+        "breath": gaussian_filter1d(level[:, 1], fast),
+        "friction": gaussian_filter1d(level[:, 2], 0.5 * fast),
+        "open": gaussian_filter1d(level[:, 3], 2 * slow),
+        "spread": gaussian_filter1d(level[:, 4], 2 * slow),
+        "broad": gaussian_filter1d(level[:, 5], fast),
+        "noise": np.array([p.noise for p in parts])[index],
+    }
+
+
+def speak(phrases: list[Phrase], voice: Voice, rng: np.random.Generator) -> Speech:
+    """Say the phrases with a voice.
+
+    Args:
+        phrases: what to say; every word must be in the lexicon.
+        voice: how it sounds.
+        rng: source of randomness.
+
+    Returns:
+        Speech at `formant.RATE`, a whole number of video frames long, peak at 0.8.
+    """
+    words, track, duration = _timed(phrases, voice)
+    frames = int(np.ceil(duration * 25))
+    count = frames * CONTROL // 25
+    at = (np.arange(count) + 0.5) / CONTROL
+    tracks = _tracks(track, voice, count)
+    controls = Controls(
+        pitch=_pitch(words, phrases, voice, at, rng),
+        voicing=tracks["voicing"],
+        breath=tracks["breath"],
+        friction=tracks["friction"],
+        noise=tracks["noise"],
+        formants=tracks["formants"],
+        broad=tracks["broad"],
+    )
+    samples = synthesise(controls, voice, rng)
+    samples *= 0.8 / max(float(np.abs(samples).max()), 1e-6)
+    samples += 0.0004 * rng.standard_normal(len(samples)).astype(np.float32)
+    opening, spread = tracks["open"], tracks["spread"]
+    return Speech(samples, RATE, words, opening.astype(np.float32), spread.astype(np.float32))
