@@ -55,6 +55,32 @@ def _symmetric_root(covariance: Tensor) -> Tensor:
     return (covariance + root[..., None, None] * identity) / scale
 
 
+MIN_AXIS = 0.015
+"""Shortest semi-axis of a region that is rendered, in normalised coordinates."""
+
+MAX_AXIS_RATIO = 10.0
+"""Longest semi-axis over the shortest of a region that is rendered."""
+
+
+def renderable(covariance: Tensor) -> Tensor:
+    """Clamp the eigenvalues of covariances (..., 2, 2) so that warping by them stays finite.
+
+    Eigenvalues are at least `MIN_AXIS^2` and at least the larger one over `MAX_AXIS_RATIO^2`;
+    covariances within these bounds are unchanged.
+    """
+    a, b, d = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
+    gap = torch.sqrt(((a - d) / 2) ** 2 + b**2)
+    major, minor = (a + d) / 2 + gap, (a + d) / 2 - gap
+    wanted_major = major.clamp_min(MIN_AXIS**2)
+    wanted_minor = torch.maximum(minor, wanted_major / MAX_AXIS_RATIO**2).clamp_min(MIN_AXIS**2)
+    # with equal eigenvalues any split of the sum is right: the traceless part is zero
+    stretch = torch.where(gap > 0, (wanted_major - wanted_minor) / (2 * gap.clamp_min(1e-12)), 1.0)
+    identity = torch.eye(2, device=covariance.device)
+    traceless = covariance - ((a + d) / 2)[..., None, None] * identity
+    middle = ((wanted_major + wanted_minor) / 2)[..., None, None] * identity
+    return middle + stretch[..., None, None] * traceless
+
+
 def cholesky(covariance: Tensor) -> Tensor:
     """Lower factor of positive definite (..., 2, 2) matrices, closed form, diagonal positive."""
     a, b, d = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from mraa.blocks import Encoder
+from mraa.blocks import AntiAliasDown, Encoder
 
 PARAMETERS = {"zero": 0, "shift": 2, "affine": 6, "perspective": 8}
 """Numbers that each kind of background motion has."""
@@ -17,15 +17,22 @@ class BackgroundPredictor(nn.Module):
         width: base width of the encoder.
         blocks: halvings of the encoder.
         max_width: bound of the channels.
+        scale: the images are sub-sampled by this first; 1 in MRAA.
     """
 
     def __init__(
-        self, kind: str = "affine", width: int = 32, blocks: int = 5, max_width: int = 1024
+        self,
+        kind: str = "affine",
+        width: int = 32,
+        blocks: int = 5,
+        max_width: int = 1024,
+        scale: float = 1.0,
     ) -> None:
         super().__init__()
         self.kind = kind
         if kind == "zero":
             return
+        self.down = AntiAliasDown(6, scale)
         self.encoder = Encoder(6, width, blocks, max_width)
         self.fc = nn.Linear(min(max_width, width * 2**blocks), PARAMETERS[kind])
         nn.init.zeros_(self.fc.weight)
@@ -42,7 +49,7 @@ class BackgroundPredictor(nn.Module):
         matrix = torch.eye(3, device=source.device).repeat(len(source), 1, 1)
         if self.kind == "zero":
             return matrix
-        features = self.encoder(torch.cat([source, driving], dim=1))[-1]
+        features = self.encoder(self.down(torch.cat([source, driving], dim=1)))[-1]
         numbers = self.fc(features.mean(dim=(2, 3))).float()  # (B, 2 | 6 | 8)
         if self.kind == "shift":
             matrix[:, :2, 2] = numbers

@@ -131,6 +131,11 @@ def random_vgg(width: int = 64, seed: int = 0) -> Vgg:
     return vgg
 
 
+def backend_of(weights: str) -> str:
+    """Name of the perceptual network that a weights file (or none) gives."""
+    return "vgg19" if weights else "random_vgg+lap"
+
+
 class PerceptualPyramid(nn.Module):
     """Weighted distance of deep features over an image pyramid.
 
@@ -152,7 +157,7 @@ class PerceptualPyramid(nn.Module):
         weight: float = 10.0,
     ) -> None:
         super().__init__()
-        self.backend = "vgg19" if weights else "random_vgg+lap"
+        self.backend = backend_of(weights)
         self.vgg = load_vgg19(Path(weights)) if weights else random_vgg(width)
         self.downs = nn.ModuleList(AntiAliasDown(3, scale) for scale in scales)
         self.weight = weight

@@ -1,6 +1,5 @@
 """The renderer: its sizes, its parts, and one source animated by regions."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import torch
@@ -44,6 +43,7 @@ class RendererConfig:
     heatmap_padding: int = 0
     background: HourglassConfig = field(default_factory=lambda: HourglassConfig(32))
     background_kind: str = "affine"
+    background_scale: float = 1.0
     flow: HourglassConfig = field(default_factory=lambda: HourglassConfig(64))
     flow_scale: float = 0.25
     generator: GeneratorConfig = field(default_factory=GeneratorConfig)
@@ -93,6 +93,7 @@ class Renderer(nn.Module):
             width=c.background.width,
             blocks=c.background.blocks,
             max_width=c.background.max_width,
+            scale=c.background_scale,
         )
         self.flow = FlowPredictor(
             regions=c.regions,
@@ -123,11 +124,15 @@ class Renderer(nn.Module):
         flow = self.flow(source, source_regions, driving_regions, background)
         return self.generator(source, flow), flow
 
-    def open(self, photo: Tensor) -> Source:
-        """Compute what is needed of a photo (1, 3, H, W) in [0, 1] once."""
-        return Source(
-            photo, self.flow.down(photo), self.generator.encode(photo), self.estimator(photo)
-        )
+    def open(self, photo: Tensor, regions: Regions | None = None) -> Source:
+        """Compute what is needed of a photo (1, 3, H, W) in [0, 1] once.
+
+        Args:
+            photo: the source image.
+            regions: its regions (1, K), when known already.
+        """
+        regions = self.estimator(photo) if regions is None else regions
+        return Source(photo, self.flow.down(photo), self.generator.encode(photo), regions)
 
     def draw(self, source: Source, driving: Regions) -> Tensor:
         """Frames (B, 3, H, W) in [0, 1] of an opened photo in the poses `driving` (B, K)."""
@@ -137,14 +142,6 @@ class Renderer(nn.Module):
         )
         features = [f.expand(count, -1, -1, -1) for f in source.features]
         return self.generator.decode(source.image.expand(count, -1, -1, -1), features, flow)
-
-    @torch.no_grad()
-    def animate(self, photo: Tensor, poses: Iterator[Regions]) -> Iterator[Tensor]:
-        """Stream uint8 frames (B, H, W, 3) of a photo (1, 3, H, W) for batches of poses."""
-        source = self.open(photo)
-        for driving in poses:
-            frames = self.draw(source, driving)
-            yield to_pixels(frames)
 
 
 def to_pixels(frames: Tensor) -> Tensor:

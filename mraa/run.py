@@ -49,8 +49,9 @@ def native_precision(device: str = "auto") -> str:
     """"bf16-mixed" where the device computes in bfloat16 natively, else "32-true"."""
     if device != "cpu" and torch.cuda.is_available():
         return "bf16-mixed" if torch.cuda.is_bf16_supported() else "32-true"
-    flags = torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported()
-    return "bf16-mixed" if flags else "32-true"
+    names = ("_is_avx512_bf16_supported", "_is_amx_tile_supported")  # torch 2.6 and newer
+    native = any(getattr(torch.cpu, name, bool)() for name in names)
+    return "bf16-mixed" if native else "32-true"
 
 
 class _StepSampler(Sampler[list[tuple[int, int]]]):

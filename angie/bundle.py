@@ -1,0 +1,251 @@
+"""Speaker bundles: a folder with `bundle.json` and one safetensors file a part.
+
+    bundle.json            format, sizes, speakers, crop, hashes, what was trained on what
+    renderer.safetensors   region estimator, background, flow, image generator
+    statistics.safetensors normalisation, ranges and rest poses of the motion
+    vq.safetensors         VQ motion extractor
+    gpt.safetensors        co-speech GPT
+    refiner.safetensors    refiner
+    train/                 checkpoints, curves and caches of training; may be deleted
+
+Every part remembers the hashes of the parts that it was trained on; loading refuses others.
+"""
+
+import dataclasses
+import hashlib
+import json
+import os
+import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import Tensor, nn
+
+from angie import __version__
+from angie.generator import AngieGenerator
+from angie.gpt import CoSpeechGPT
+from angie.presets import Preset, override
+from angie.refiner import Refiner
+from angie.statistics import MotionStatistics
+from angie.vq import VQMotionExtractor
+from data_prep.errors import BadInput
+from data_prep.output import whole_file
+from data_prep.rates import FPS, IMAGE_SIZE
+from mraa.renderer import Renderer
+
+FORMAT = 1
+"""Version of the bundle's layout; loading refuses newer ones."""
+
+UPSTREAM = {
+    "renderer": (),
+    "statistics": ("renderer",),
+    "vq": ("renderer", "statistics"),
+    "gpt": ("statistics", "vq"),
+    "refiner": ("statistics", "vq"),
+}
+"""Parts of a bundle in the order of training, each with those that it is trained on."""
+
+STAGE_OF = {"statistics": "motion"}
+"""Name of the training stage that makes a part, where it is not the part's own name."""
+
+TRAIN = "train"
+"""Folder in a bundle for checkpoints, curves and caches."""
+
+
+def sha256(path: Path) -> str:
+    """Hex digest of a file."""
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        for block in iter(lambda: file.read(1 << 20), b""):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def source_commit() -> str:
+    """Commit of the source tree that runs, or "" for an installed package."""
+    root = Path(__file__).resolve().parents[1]
+    if not (root / ".git").exists():
+        return ""
+    result = subprocess.run(
+        ["git", "-C", str(root), "rev-parse", "HEAD"], capture_output=True, text=True, check=False
+    )
+    return result.stdout.strip()
+
+
+@dataclass
+class Bundle:
+    """A bundle folder and its manifest; parts are read when asked for."""
+
+    folder: Path
+    manifest: dict[str, Any]
+    preset: Preset
+
+    @classmethod
+    def create(cls, folder: Path, preset: Preset) -> "Bundle":
+        """Start an empty bundle in `folder`, which is made if need be."""
+        folder = Path(folder)
+        folder.mkdir(exist_ok=True)
+        manifest = {
+            "format": FORMAT,
+            "angie": __version__,
+            "preset": preset.name,
+            "speakers": [],
+            "fps": FPS,
+            "size": IMAGE_SIZE,
+            "crop": {},
+            "config": dataclasses.asdict(preset),
+            "parts": {},
+        }
+        bundle = cls(folder, manifest, preset)
+        bundle.write()
+        return bundle
+
+    @classmethod
+    def open(cls, folder: Path) -> "Bundle":
+        """Read the manifest of a bundle.
+
+        Raises:
+            BadInput: no bundle, a newer format, or an unreadable manifest.
+        """
+        folder = Path(folder)
+        path = folder / "bundle.json"
+        if not path.is_file():
+            raise BadInput(f"{folder}: not a speaker bundle, it has no bundle.json")
+        try:
+            manifest = json.loads(path.read_text())
+            if manifest["format"] > FORMAT:
+                raise BadInput(
+                    f"{folder}: bundle format {manifest['format']} is newer than {FORMAT}; "
+                    "update angie"
+                )
+            preset = override(Preset(), manifest["config"])
+            manifest["parts"].items()
+        except BadInput as error:
+            raise BadInput(f"{path}: {error}") from error
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise BadInput(f"{path}: not a readable manifest ({error!r})") from error
+        return cls(folder, manifest, preset)
+
+    def write(self) -> None:
+        """Write the manifest, whole or not at all."""
+        with whole_file(self.folder / "bundle.json", force=True) as part:
+            part.write_text(json.dumps(self.manifest, indent=1) + "\n")
+
+    @property
+    def train(self) -> Path:
+        """Folder for checkpoints, curves and caches of training."""
+        return self.folder / TRAIN
+
+    def has(self, part: str) -> bool:
+        """Whether a part is present and trained on the present upstream parts."""
+        entry = self.manifest["parts"].get(part)
+        return entry is not None and all(
+            self.has(name) and entry["upstream"].get(name) == self.hash_of(name)
+            for name in UPSTREAM[part]
+        )
+
+    def hash_of(self, part: str) -> str:
+        """Hash of a part as the manifest states it."""
+        return str(self.manifest["parts"][part]["sha256"])
+
+    def add(
+        self, part: str, tensors: Mapping[str, Tensor] | Path, report: dict[str, Any]
+    ) -> None:
+        """Put a trained part into the bundle.
+
+        Args:
+            part: name of the part.
+            tensors: its state, or a safetensors file to take (it is moved).
+            report: what it was trained on and how well it does.
+        """
+        path = self.folder / f"{part}.safetensors"
+        if isinstance(tensors, Path):
+            os.replace(tensors, path)
+        else:
+            with whole_file(path, force=True) as new:
+                save_file({k: v.detach().contiguous().cpu() for k, v in tensors.items()}, new)
+        self.manifest["parts"][part] = {
+            "file": path.name,
+            "sha256": sha256(path),
+            "upstream": {name: self.hash_of(name) for name in UPSTREAM[part]},
+            "report": {"angie": __version__, "commit": source_commit(), **report},
+        }
+        self.write()
+
+    def path_of(self, part: str) -> Path:
+        """File of a part, after checking that it is whole and fits its upstream.
+
+        Raises:
+            BadInput: missing, changed, or trained on other parts.
+        """
+        stage = STAGE_OF.get(part, part)
+        entry = self.manifest["parts"].get(part)
+        if entry is None:
+            raise BadInput(f"{self.folder}: has no {part} yet; run angie train --stage {stage}")
+        path = self.folder / entry["file"]
+        if not path.is_file():
+            raise BadInput(f"{path}: missing from the bundle; copy it again or train --stage {stage}")
+        if sha256(path) != entry["sha256"]:
+            raise BadInput(f"{path}: not the file that bundle.json describes (wrong hash)")
+        for name in UPSTREAM[part]:
+            self.path_of(name)
+            if entry["upstream"].get(name) != self.hash_of(name):
+                raise BadInput(
+                    f"{self.folder}: {part} was trained on another {name}; "
+                    f"run angie train --stage {stage} again"
+                )
+        return path
+
+    def renderer(self) -> Renderer:
+        """The renderer in eval mode."""
+        return self._load("renderer", Renderer(self.preset.renderer))
+
+    def statistics(self) -> MotionStatistics:
+        """Normalisation and ranges of the motion."""
+        return MotionStatistics.load(self.path_of("statistics"))
+
+    def vq(self) -> VQMotionExtractor:
+        """The VQ motion extractor in eval mode."""
+        return self._load("vq", VQMotionExtractor(self.preset.vq))
+
+    def gpt(self) -> CoSpeechGPT:
+        """The co-speech GPT in eval mode."""
+        return self._load("gpt", CoSpeechGPT(self.preset.gpt))
+
+    def refiner(self) -> Refiner:
+        """The refiner in eval mode."""
+        return self._load("refiner", Refiner(self.preset.refiner))
+
+    def generator(self) -> AngieGenerator:
+        """The gesture generator, all its parts in eval mode."""
+        return AngieGenerator(
+            self.vq(), self.gpt(), self.refiner(), self.statistics(), self.preset.generation
+        )
+
+    def _load(self, part: str, model: Any) -> Any:
+        path = self.path_of(part)
+        try:
+            load_weights(model, load_file(path))
+        except (SafetensorError, RuntimeError) as error:
+            raise BadInput(f"{path}: does not fit the sizes in bundle.json") from error
+        return model.eval().requires_grad_(False)
+
+
+def load_weights(model: nn.Module, tensors: Mapping[str, Tensor]) -> None:
+    """Load weights that may be stored in half precision into a float32 model."""
+    wanted = model.state_dict()
+    model.load_state_dict(
+        {k: v.to(wanted[k].dtype) if k in wanted else v for k, v in tensors.items()}
+    )
+
+
+def halve(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Float tensors in half precision, for bundles that have to be small."""
+    return {
+        k: v.half() if v.dtype == torch.float32 and v.ndim > 1 else v for k, v in tensors.items()
+    }

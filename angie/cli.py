@@ -1,0 +1,257 @@
+"""The `angie` command."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Optional
+
+import typer
+
+from angie import __version__
+from data_prep.errors import BadInput
+from data_prep.progress import console
+
+app = typer.Typer(
+    help="One photo of a speaker and a speech recording in, a video of that person gesturing out.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+Force = Annotated[bool, typer.Option("--force", help="Replace an existing output.")]
+Seed = Annotated[int, typer.Option(help="Everything random follows from it.")]
+Device = Annotated[str, typer.Option(help="auto, cpu, cuda or mps.")]
+Jobs = Annotated[int, typer.Option(min=0, help="Processes; 0 for one a core.")]
+# the modules behind a command are imported when it runs, so that `angie --help` is quick
+
+
+@app.command()
+def animate(
+    photo: Annotated[Path, typer.Argument(help="Any photo of a person.")],
+    audio: Annotated[Path, typer.Argument(help="Any recording, or a video with sound.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The mp4 to write.")],
+    speaker: Annotated[
+        Optional[Path], typer.Option(help="Speaker bundle; without it the shipped one.")
+    ] = None,
+    seed: Seed = 0,
+    device: Device = "auto",
+    crop: Annotated[
+        Optional[str], typer.Option(help="Square of the photo: x,y,size in pixels.")
+    ] = None,
+    scale_motion: Annotated[
+        str, typer.Option(help="none, or hull: scale gestures to the person's size.")
+    ] = "none",
+    force: Force = False,
+) -> None:
+    """Make the person of a photo gesture to a recording."""
+    from data_prep.output import check_output
+
+    check_output(output, force=force)
+    _want_file(photo, "photo")
+    _want_file(audio, "recording")
+    if scale_motion not in ("none", "hull"):
+        raise BadInput(f"--scale-motion {scale_motion}: there are none and hull")
+    square = None if crop is None else _square(crop)
+    from angie.animate import animate as make
+    from angie.bundle import Bundle
+    from angie.demo import BUNDLE
+
+    result = make(
+        photo,
+        audio,
+        output,
+        Bundle.open(speaker or BUNDLE),
+        seed=seed,
+        device=_device(device),
+        crop=square,
+        scale_motion=scale_motion,
+        force=force,
+    )
+    print(f"{result.path}: {result.frames} frames, {result.seconds:.2f} s of sound")
+
+
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", help="The mp4 to write.")] = Path(
+        "angie-demo.mp4"
+    ),
+    seed: Seed = 0,
+    device: Device = "auto",
+    force: Force = False,
+) -> None:
+    """Make a video of the photo and the recording that ship with the package."""
+    from angie.demo import PHOTO, SPEECH
+
+    animate(PHOTO, SPEECH, output, seed=seed, device=device, force=force)
+
+
+@app.command()
+def phantom(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the videos.")],
+    minutes: Annotated[float, typer.Option(min=0.1, help="Length of all videos together.")] = 4.0,
+    presenters: Annotated[int, typer.Option(min=1, help="Number of presenters.")] = 4,
+    seed: Seed = 0,
+    jobs: Jobs = 0,
+    force: Force = False,
+) -> None:
+    """Write raw videos of the phantom speaker: procedural presenters whose truth is known."""
+    from data_prep.output import whole_folder
+    from data_prep.phantom import make_phantom
+
+    with whole_folder(output, force=force) as part:
+        videos = make_phantom(
+            part, minutes=minutes, seed=seed, presenters=presenters, jobs=jobs or _cores()
+        )
+    print(f"{output}: {len(videos)} videos of {presenters} presenters")
+
+
+@app.command()
+def prepare(
+    videos: Annotated[list[Path], typer.Argument(help="Videos, or folders of videos.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the dataset.")],
+    speaker: Annotated[
+        Optional[str], typer.Option(help="Name of the speaker; without it the folder's name.")
+    ] = None,
+    crop: Annotated[
+        Optional[str], typer.Option(help="Square of the picture: x,y,size in pixels.")
+    ] = None,
+    jobs: Jobs = 0,
+    force: Force = False,
+) -> None:
+    """Turn videos of a speaker into a dataset of 256x256 clips at 25 fps."""
+    from data_prep.prepare import prepare as make
+
+    square = None if crop is None else _square(crop)
+    summary = make(
+        videos, output, speaker=speaker, jobs=jobs or _cores(), crop=square, force=force
+    )
+    print(summary)
+
+
+@app.command()
+def train(
+    dataset: Annotated[Path, typer.Argument(help="Folder that angie prepare made.")],
+    settings: Annotated[
+        Optional[list[str]], typer.Argument(help="key=value, or YAML files with such.")
+    ] = None,
+    output: Annotated[
+        Optional[Path], typer.Option("--output", "-o", help="Folder of the speaker bundle.")
+    ] = None,
+    preset: Annotated[
+        Optional[str], typer.Option(help="paper, lite or tiny; lite for a new bundle.")
+    ] = None,
+    stage: Annotated[
+        str, typer.Option(help="renderer, motion, vq, gpt, refiner or all.")
+    ] = "all",
+    resume: Annotated[bool, typer.Option("--resume", help="Go on after an interruption.")] = False,
+    seed: Seed = 0,
+    device: Device = "auto",
+    devices: Annotated[int, typer.Option(min=1, help="GPUs, or processes on the CPU.")] = 1,
+    precision: Annotated[
+        str, typer.Option(help="Of the renderer: auto, 32-true, bf16-mixed or 16-mixed.")
+    ] = "auto",
+    workers: Annotated[int, typer.Option(min=0, help="Processes that load data.")] = 0,
+    force: Force = False,
+) -> None:
+    """Train a speaker bundle: renderer, motion, VQ, GPT, refiner."""
+    if output is None:
+        raise BadInput("--output: name the folder of the bundle, -o BUNDLE")
+    from angie.presets import parse_overrides
+    from angie.presets import preset as find
+    from angie.training import train as run
+    from mraa.run import RunConfig
+
+    known = (output / "bundle.json").exists() and not force
+    chosen = find(preset or "lite") if preset or not known else None
+    how = RunConfig(device=device, devices=devices, precision=precision, workers=workers)
+    bundle = run(
+        dataset,
+        output,
+        preset=chosen,
+        changes=parse_overrides(settings or []),
+        stage=stage,
+        resume=resume,
+        force=force,
+        seed=seed,
+        run=how,
+    )
+    print(f"{bundle.folder}: {', '.join(bundle.manifest['parts'])}")
+
+
+@app.command()
+def info(
+    bundle: Annotated[
+        Optional[Path], typer.Argument(help="Speaker bundle; without it the shipped one.")
+    ] = None,
+) -> None:
+    """Tell what a speaker bundle holds and what it was trained on."""
+    from angie.bundle import Bundle
+    from angie.demo import BUNDLE
+    from angie.summary import describe
+
+    print(describe(Bundle.open(bundle or BUNDLE)))
+
+
+@app.callback(invoke_without_command=True)
+def version(
+    show: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    """One photo of a speaker and a speech recording in, a video of that person gesturing out."""
+    if show:
+        print(f"angie {__version__}")
+        raise typer.Exit
+
+
+def _want_file(path: Path, what: str) -> None:
+    if not path.exists():
+        raise BadInput(f"{path}: no such file; give the {what}")
+    if path.is_dir():
+        raise BadInput(f"{path}: is a folder; give the {what}")
+
+
+def _square(text: str) -> "Crop":  # type: ignore[name-defined]  # noqa: F821
+    from data_prep.speaker import Crop
+
+    try:
+        x, y, size = (int(part) for part in text.split(","))
+    except ValueError:
+        raise BadInput(f"--crop {text}: give x,y,size in whole pixels") from None
+    if size < 1:
+        raise BadInput(f"--crop {text}: the size must be positive")
+    return Crop(x, y, size)
+
+
+def _device(name: str) -> str:
+    import torch
+
+    available = {"cpu": True, "cuda": torch.cuda.is_available()}
+    available["mps"] = torch.backends.mps.is_available()
+    if name == "auto":
+        return next(d for d in ("cuda", "mps", "cpu") if available[d])
+    kind = name.partition(":")[0]
+    if not available.get(kind, False):
+        usable = ", ".join(d for d, ok in available.items() if ok)
+        raise BadInput(f"--device {name}: not on this machine; there is {usable}")
+    return name
+
+
+def _cores() -> int:
+    import os
+
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def main() -> None:
+    """Run the command; bad input is one line on standard error and exit status 2."""
+    try:
+        app()
+    except BadInput as error:
+        console.print(f"angie: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        console.print("angie: interrupted", style="red")
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

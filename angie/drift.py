@@ -1,0 +1,104 @@
+"""Drift bounding: integration of generated deltas that stays near the rest pose for hours.
+
+Summed deltas wander: random error grows with the square root of time, a constant error with time.
+The paper's clips last about ten seconds and need nothing; longer speech does.
+"""
+
+import math
+
+import numpy as np
+import torch
+from scipy.signal import lfilter
+from torch import Tensor
+
+from data_prep.rates import FPS
+
+TAU = 8.0
+"""Seconds in which leaky integration forgets a displacement to 1/e."""
+
+AUTO_FRAMES = 10 * FPS
+"""Bounding `auto` begins above this length."""
+
+LINEAR = 0.8
+"""Part of the range in which the soft range leaves motion untouched."""
+
+MODES = ("auto", "on", "off")
+
+
+def bounded(mode: str, frames: int) -> bool:
+    """Whether motion of `frames` frames is to be bounded in mode auto (above 10 s), on or off."""
+    if mode not in MODES:
+        raise ValueError(f"bounding is one of {', '.join(MODES)}, not {mode!r}")
+    return mode == "on" or (mode == "auto" and frames > AUTO_FRAMES)
+
+
+def integrate_leaky(delta: Tensor, start: Tensor, rest: Tensor, tau: float = TAU) -> Tensor:
+    """Integrate deltas with a leak toward the rest pose.
+
+    y_j = rho y_{j-1} + d_j on the displacement y from the rest pose, rho = exp(-1 / (25 tau)),
+    y_1 = start - rest; the first delta is discarded. A constant delta d settles at d / (1 - rho).
+
+    Args:
+        delta: (..., T, C) relative motion.
+        start: (..., C) pose of frame 1.
+        rest: (..., C) pose the motion leaks toward.
+        tau: time constant, seconds.
+
+    Returns:
+        (..., T, C) float32 absolute motion on the device of `delta`; exact `start` at frame 1.
+    """
+    rho = math.exp(-1 / (FPS * tau))
+    steps = delta.detach().cpu().double()
+    steps[..., 0, :] = (start - rest).cpu().double()
+    displacement = lfilter([1.0], [1.0, -rho], steps.numpy(), axis=-2)
+    motion = torch.from_numpy(np.asarray(displacement)) + rest.cpu().double().unsqueeze(-2)
+    motion = motion.float().to(delta.device)
+    motion[..., 0, :] = start
+    return motion
+
+
+def soft_range(displacement: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    """Bend displacements softly into a range.
+
+    With centre c, half width h and u = (y - c) / h: |u| <= 0.8 is untouched, beyond it
+    |u| -> 0.8 + 0.2 tanh((|u| - 0.8) / 0.2), continuous with its derivative. The range is widened
+    so that the first frame lies in the untouched part.
+
+    Args:
+        displacement: (..., T, C) displacements from the rest pose.
+        low: (C,) lower ends.
+        high: (C,) upper ends, not below `low`.
+
+    Returns:
+        (..., T, C) displacements in [low, high] (widened where frame 1 needs it).
+    """
+    centre, half = (low + high) / 2, (high - low) / 2
+    first = displacement[..., :1, :]
+    half = torch.maximum(half, (first - centre).abs() / LINEAR).clamp_min(1e-6)
+    place = (displacement - centre) / half
+    size = place.abs()
+    knee = 1 - LINEAR
+    bent = LINEAR + knee * torch.tanh((size - LINEAR) / knee)
+    return torch.where(size > LINEAR, centre + half * place.sign() * bent, displacement)
+
+
+def integrate_bounded(
+    delta: Tensor, start: Tensor, rest: Tensor, mean: Tensor, low: Tensor, high: Tensor
+) -> Tensor:
+    """Integrate generated deltas without drift: constant part removed, leak, soft range.
+
+    Args:
+        delta: (T, C) relative motion as decoded.
+        start: (C,) pose of frame 1.
+        rest: (C,) rest pose of the speaker, or `start` for an unknown one.
+        mean: (C,) long-run mean of decoded deltas over the training set.
+        low: (C,) 0.2th percentile of the training displacement from rest.
+        high: (C,) 99.8th percentile.
+
+    Returns:
+        (T, C) absolute motion; frame 1 is `start`.
+    """
+    leaky = integrate_leaky(delta - mean, start, rest)
+    motion = rest + soft_range(leaky - rest, low, high)
+    motion[..., 0, :] = start
+    return motion

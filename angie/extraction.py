@@ -1,0 +1,70 @@
+"""Region motion of every clip of a dataset, measured by the frozen region estimator."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from angie.motion import Motion, encode_cholesky, read_motion, write_motion
+from data_prep.dataset import Clip, Dataset
+from data_prep.errors import BadInput
+from data_prep.output import whole_file
+from data_prep.progress import progress
+from mraa.regions import RegionEstimator
+from mraa.renderer import from_pixels
+
+
+@torch.no_grad()
+def measure_motion(estimator: RegionEstimator, frames: Iterator[Tensor]) -> Motion:
+    """Region motion (T, K) of batches of frames (b, H, W, 3) uint8."""
+    device = next(estimator.parameters()).device
+    shifts, factors = [], []
+    for batch in frames:
+        regions = estimator(from_pixels(batch.to(device)))
+        shifts.append(regions.shift.cpu())
+        factors.append(encode_cholesky(regions.covariance).cpu())
+    return Motion(torch.cat(shifts), torch.cat(factors))
+
+
+def extract_dataset(
+    dataset: Dataset, estimator: RegionEstimator, folder: Path, identity: str, batch: int = 16
+) -> None:
+    """Write `folder/<clip>.npz` for every clip; clips done by the same estimator are kept.
+
+    Args:
+        dataset: the clips.
+        estimator: frozen, in eval mode.
+        folder: where the motion goes; made if need be.
+        identity: hash of the estimator, stored with the motion.
+        batch: frames at a time.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    clips = dataset.clips()
+    frames = sum(clip.n_frames for clip in clips)
+    with progress("motion", frames, "frames") as advance:
+        for clip in clips:
+            path = folder / f"{clip.id}.npz"
+            if not _is_done(path, identity):
+                motion = measure_motion(estimator, _batches(dataset, clip, batch))
+                with whole_file(path, force=True) as part:
+                    write_motion(part, motion, identity)
+            advance(clip.n_frames)
+
+
+def _batches(dataset: Dataset, clip: Clip, batch: int) -> Iterator[Tensor]:
+    store = dataset.frames(clip)
+    for start in range(0, len(store), batch):
+        stop = min(start + batch, len(store))
+        yield torch.from_numpy(np.stack([store[i] for i in range(start, stop)]))
+
+
+def _is_done(path: Path, identity: str) -> bool:
+    if not path.exists():
+        return False
+    try:
+        read_motion(path, identity)
+    except BadInput:  # of another estimator, or damaged: measured again
+        return False
+    return True

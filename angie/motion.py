@@ -1,0 +1,213 @@
+"""Region motion: shifts and Cholesky factors over time, relative deltas, integration.
+
+A pose is the shift `mu` (K, 2) of every region and the lower Cholesky factor
+`L = [[l1, 0], [l2, l3]]` of its covariance, stored as (l1, l2, l3). Coordinates are (x right,
+y down) in [-1, 1]. The motion vector of a frame is the shift block (2K channels, region by
+region) followed by the Cholesky block (3K channels): `[mu ; L]`, 100 numbers for 20 regions
+(ANGIE, NeurIPS 2022, section 3.2).
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from data_prep.errors import BadInput
+
+EPSILON = 1e-5
+"""Smallest diagonal entry of a Cholesky factor (ANGIE, section 3.2: ReLU + 1e-5)."""
+
+FLOOR = 0.3
+CEILING = 1.5
+"""Generated diagonals stay in [0.3 x p0.5, 1.5 x p99.5] of training, which keeps C renderable."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Region motion of T frames.
+
+    Attributes:
+        shift: (..., T, K, 2) float32, region centres (x, y) in [-1, 1].
+        cholesky: (..., T, K, 3) float32, (l1, l2, l3) of the covariances' Cholesky factors.
+    """
+
+    shift: Tensor
+    cholesky: Tensor
+
+    def __post_init__(self) -> None:
+        frames, pairs = self.shift.shape[:-1], self.shift.shape[-1]
+        if pairs != 2 or self.cholesky.shape != (*frames, 3):
+            raise ValueError(
+                f"shift must be (..., T, K, 2) and cholesky (..., T, K, 3), "
+                f"not {tuple(self.shift.shape)} and {tuple(self.cholesky.shape)}"
+            )
+
+    @classmethod
+    def from_vector(cls, vector: Tensor) -> "Motion":
+        """Split motion vectors (..., T, 5K) into shifts and Cholesky factors."""
+        regions, rest = divmod(vector.shape[-1], 5)
+        if rest:
+            raise ValueError(f"a motion vector has 5 numbers a region, not {vector.shape[-1]}")
+        shift, cholesky = vector.split([2 * regions, 3 * regions], dim=-1)
+        return cls(shift.unflatten(-1, (regions, 2)), cholesky.unflatten(-1, (regions, 3)))
+
+    def vector(self) -> Tensor:
+        """Motion vectors (..., T, 5K): 2K shift channels, then 3K Cholesky channels."""
+        return torch.cat([self.shift.flatten(-2), self.cholesky.flatten(-2)], dim=-1)
+
+    @property
+    def frames(self) -> int:
+        """Number of frames T."""
+        return self.shift.shape[-3]
+
+    @property
+    def regions(self) -> int:
+        """Number of regions K."""
+        return self.shift.shape[-2]
+
+    def __getitem__(self, frames: slice) -> "Motion":
+        """The motion of a slice of frames."""
+        return Motion(self.shift[..., frames, :, :], self.cholesky[..., frames, :, :])
+
+    def covariance(self) -> Tensor:
+        """Covariances (..., T, K, 2, 2), C = L L^T."""
+        return decode_cholesky(self.cholesky)
+
+
+def encode_cholesky(covariance: Tensor) -> Tensor:
+    """Lower Cholesky factors of 2x2 covariances in closed form.
+
+    For C = [[a, b], [b, d]]: l1 = sqrt(a), l2 = b / l1, l3 = sqrt(d - l2^2), computed in float32.
+    The floor on C itself belongs to the region estimator; here only the roots are kept real.
+
+    Args:
+        covariance: (..., 2, 2) symmetric positive definite.
+
+    Returns:
+        (..., 3) float32, (l1, l2, l3) with l1, l3 >= 1e-5.
+    """
+    covariance = covariance.float()
+    a, b, d = covariance[..., 0, 0], covariance[..., 1, 0], covariance[..., 1, 1]
+    l1 = a.clamp_min(EPSILON**2).sqrt()
+    l2 = b / l1
+    l3 = (d - l2.square()).clamp_min(EPSILON**2).sqrt()
+    return torch.stack([l1, l2, l3], dim=-1)
+
+
+def decode_cholesky(cholesky: Tensor) -> Tensor:
+    """Covariances L L^T of Cholesky factors.
+
+    Args:
+        cholesky: (..., 3) float32, (l1, l2, l3).
+
+    Returns:
+        (..., 2, 2) float32, symmetric.
+    """
+    l1, l2, l3 = cholesky.float().unbind(-1)
+    off = l1 * l2
+    rows = torch.stack([l1.square(), off, off, l2.square() + l3.square()], dim=-1)
+    return rows.unflatten(-1, (2, 2))
+
+
+def deltas(vector: Tensor) -> Tensor:
+    """Relative motion d_j = x_j - x_{j-1}; the first frame has no predecessor and gets zero.
+
+    Args:
+        vector: (..., T, C) motion vectors.
+
+    Returns:
+        (..., T, C), the same length, first frame zero.
+    """
+    return torch.cat([torch.zeros_like(vector[..., :1, :]), vector.diff(dim=-2)], dim=-2)
+
+
+def integrate(delta: Tensor, start: Tensor) -> Tensor:
+    """Absolute motion x_j = x_1 + sum_{i=2..j} d_i (ANGIE, section 3.2).
+
+    The first delta is discarded: frame 1 is the start pose. `integrate(deltas(x), x[0])` is `x`.
+
+    Args:
+        delta: (..., T, C) relative motion.
+        start: (..., C) motion vector of frame 1.
+
+    Returns:
+        (..., T, C) motion vectors.
+    """
+    steps = delta.clone()
+    steps[..., 0, :] = start
+    return steps.cumsum(dim=-2)
+
+
+def positive(motion: Motion) -> Motion:
+    """Make the diagonals of L positive: l <- ReLU(l) + 1e-5 for l1 and l3.
+
+    To be applied once, after integration and refinement: inside the recursion it would break the
+    additivity of the deltas (ANGIE, section 3.2).
+    """
+    l1, l2, l3 = motion.cholesky.unbind(-1)
+    factor = torch.stack([l1.relu() + EPSILON, l2, l3.relu() + EPSILON], dim=-1)
+    return Motion(motion.shift, factor)
+
+
+def render_floor(motion: Motion, low: Tensor, high: Tensor, start: Motion | None = None) -> Motion:
+    """Keep generated diagonals of L where the renderer has seen them.
+
+    Args:
+        motion: generated motion, K regions.
+        low: (K, 2) the 0.5th percentile of (l1, l3) in training.
+        high: (K, 2) the 99.5th percentile.
+        start: pose of one frame whose diagonals are always allowed, so that frame 1 stays exact.
+
+    Returns:
+        Motion with l1, l3 in [0.3 low, 1.5 high], widened to contain the start pose.
+    """
+    low, high = FLOOR * low, CEILING * high
+    if start is not None:
+        diagonal = start.cholesky[..., 0, :, ::2]
+        low, high = torch.minimum(low, diagonal), torch.maximum(high, diagonal)
+    l1, l2, l3 = motion.cholesky.unbind(-1)
+    l1 = torch.clamp(l1, low[..., 0], high[..., 0])
+    l3 = torch.clamp(l3, low[..., 1], high[..., 1])
+    return Motion(motion.shift, torch.stack([l1, l2, l3], dim=-1))
+
+
+def write_motion(path: Path, motion: Motion, estimator: str = "") -> None:
+    """Write the motion of a clip as .npz: shift (T,K,2), cholesky (T,K,3), and its origin.
+
+    Args:
+        path: the file to write.
+        motion: motion of one clip, on any device.
+        estimator: hash of the region estimator that measured it.
+    """
+    np.savez(
+        path,
+        shift=motion.shift.detach().cpu().numpy().astype(np.float32),
+        cholesky=motion.cholesky.detach().cpu().numpy().astype(np.float32),
+        estimator=np.array(estimator),
+    )
+
+
+def read_motion(path: Path, estimator: str | None = None) -> Motion:
+    """Read the motion of a clip.
+
+    Args:
+        path: a file that `write_motion` wrote.
+        estimator: hash of the region estimator that must have measured it; None accepts any.
+
+    Raises:
+        BadInput: missing, unreadable, or measured by another region estimator.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            shift, cholesky = file["shift"], file["cholesky"]
+            origin = str(file["estimator"])
+    except (OSError, KeyError, ValueError) as error:
+        raise BadInput(f"{path}: not a motion file ({error}); run the motion stage") from error
+    if estimator is not None and origin != estimator:
+        raise BadInput(
+            f"{path}: measured by another region estimator ({origin[:12] or 'unknown'}, "
+            f"not {estimator[:12]}); run the motion stage again"
+        )
+    return Motion(torch.from_numpy(shift), torch.from_numpy(cholesky))

@@ -1,0 +1,60 @@
+"""Long sequences in overlapping windows that fade linearly into one another."""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+
+def window_starts(length: int, window: int, hop: int) -> list[int]:
+    """First positions of windows that cover `length`; the last one ends exactly there.
+
+    Raises:
+        ValueError: hop outside [1, window], or nothing to cover.
+    """
+    if length < 1 or not 1 <= hop <= window:
+        raise ValueError(f"cannot cover {length} with windows of {window} every {hop}")
+    if length <= window:
+        return [0]
+    starts = list(range(0, length - window, hop))
+    return [*starts, length - window]
+
+
+def cross_fade(
+    length: int,
+    window: int,
+    hop: int,
+    compute: Callable[[list[int]], Tensor],
+    at_once: int = 32,
+) -> Tensor:
+    """Compute windows in groups and blend them with linear ramps.
+
+    Each window is weighted by a triangle that is largest in its middle; the weights of a frame
+    sum to one, so windows that agree are reproduced exactly. Memory beside the result does not
+    grow with the length.
+
+    Args:
+        length: frames of the whole sequence, T.
+        window: frames of a window; a shorter sequence is one shorter window.
+        hop: frames from one window to the next.
+        compute: from n first frames to the windows' values (n, window, C).
+        at_once: most windows in one call of `compute`.
+
+    Returns:
+        (T, C) blended values.
+    """
+    window = min(window, length)
+    starts = window_starts(length, window, min(hop, window))
+    place = torch.arange(window, dtype=torch.float32)
+    ramp = torch.minimum(place + 1, window - place)
+    total, weight = None, torch.zeros(length, 1)
+    for begin in range(0, len(starts), at_once):
+        group = starts[begin : begin + at_once]
+        values = compute(group).float().cpu()
+        if total is None:
+            total = torch.zeros(length, values.shape[-1])
+        for first, value in zip(group, values, strict=True):
+            total[first : first + window] += value * ramp[:, None]
+            weight[first : first + window] += ramp[:, None]
+    assert total is not None  # window_starts refuses an empty sequence
+    return total / weight

@@ -1,0 +1,223 @@
+"""Presets `paper`, `lite` and `tiny`: every size and every number of training in one place."""
+
+import dataclasses
+import difflib
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+from angie.generator import GenerationConfig
+from angie.gpt import GPTConfig
+from angie.refiner import RefinerConfig
+from angie.sampling import Sampling
+from angie.schedule import Schedule
+from angie.train_gpt import GPTTraining
+from angie.train_refiner import RefinerTraining
+from angie.train_vq import VQTraining
+from angie.vq import VQConfig
+from data_prep.errors import BadInput
+from mraa.pairs import Augmentation
+from mraa.renderer import GeneratorConfig, HourglassConfig, RendererConfig
+from mraa.training import RendererTraining
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Sizes and training of every part; the defaults are the papers'."""
+
+    name: str = "paper"
+    renderer: RendererConfig = field(default_factory=RendererConfig)
+    vq: VQConfig = field(default_factory=VQConfig)
+    gpt: GPTConfig = field(default_factory=GPTConfig)
+    refiner: RefinerConfig = field(default_factory=RefinerConfig)
+    generation: GenerationConfig = field(
+        default_factory=lambda: GenerationConfig(sampling=Sampling(method="greedy"))
+    )
+    train_renderer: RendererTraining = field(default_factory=RendererTraining)
+    train_vq: VQTraining = field(default_factory=VQTraining)
+    train_gpt: GPTTraining = field(default_factory=GPTTraining)
+    train_refiner: RefinerTraining = field(default_factory=RefinerTraining)
+
+    def __post_init__(self) -> None:
+        counts = {self.renderer.regions, self.vq.regions, self.refiner.regions}
+        if len(counts) > 1 or self.vq.codes != self.gpt.codes:
+            raise BadInput("the parts disagree: regions or codes are set for one part alone")
+
+
+def _lite() -> Preset:
+    """Renders in real time on a laptop CPU: slim generator, the photo itself warped."""
+    return Preset(
+        name="lite",
+        renderer=RendererConfig(
+            estimator=HourglassConfig(16, 5, 128),
+            background=HourglassConfig(16, 4, 64),
+            background_scale=0.25,
+            flow=HourglassConfig(32, 5, 128),
+            generator=GeneratorConfig("lite", width=128, bottleneck_blocks=6),
+            affine_mode="sym",
+        ),
+        vq=VQConfig(width=64, code_width=64),
+        gpt=GPTConfig(width=128, heads=4, layers=6),
+        refiner=RefinerConfig(sound=96, motion=64, hidden=64),
+        generation=GenerationConfig(bounding="auto"),
+        train_renderer=RendererTraining(
+            batch=8, repeats=150, perceptual_width=8, augmentation=Augmentation(zoom=0.15)
+        ),
+        train_vq=VQTraining(schedule=Schedule(rate=3e-4, most_steps=6000)),
+        train_gpt=GPTTraining(schedule=Schedule(rate=3e-4, milestones=(250, 400), most_steps=4000)),
+        train_refiner=RefinerTraining(
+            schedule=Schedule(rate=5e-4, betas=(0.9, 0.999), epochs=100, most_steps=3000)
+        ),
+    )
+
+
+def _tiny() -> Preset:
+    """For tests and first tries: every stage trains in seconds to a few minutes."""
+    return Preset(
+        name="tiny",
+        renderer=RendererConfig(
+            regions=10,
+            estimator=HourglassConfig(8, 4, 64),
+            background=HourglassConfig(8, 4, 32),
+            background_scale=0.25,
+            flow=HourglassConfig(16, 4, 64),
+            generator=GeneratorConfig("lite", width=32, bottleneck_blocks=2),
+            affine_mode="sym",
+        ),
+        vq=VQConfig(regions=10, width=32, code_width=32),
+        gpt=GPTConfig(width=64, heads=4, layers=2),
+        refiner=RefinerConfig(regions=10, sound=32, motion=32, hidden=32, layers=1),
+        generation=GenerationConfig(bounding="auto"),
+        train_renderer=RendererTraining(steps=300, batch=4, rate=1e-3, perceptual_width=8),
+        train_vq=VQTraining(schedule=Schedule(rate=1e-3, most_steps=300)),
+        train_gpt=GPTTraining(schedule=Schedule(rate=1e-3, most_steps=200), checks=10),
+        train_refiner=RefinerTraining(
+            schedule=Schedule(rate=2e-3, betas=(0.9, 0.999), most_steps=150), checks=10
+        ),
+    )
+
+
+PRESETS = {"paper": Preset, "lite": _lite, "tiny": _tiny}
+
+
+def preset(name: str) -> Preset:
+    """The preset of a name.
+
+    Raises:
+        BadInput: an unknown name.
+    """
+    if name not in PRESETS:
+        raise BadInput(f"--preset {name}: there are {', '.join(PRESETS)}")
+    return PRESETS[name]()
+
+
+def parse_overrides(arguments: list[str]) -> dict[str, Any]:
+    """Read `key=value` arguments and YAML files into one nested mapping.
+
+    Args:
+        arguments: such as "gpt.layers=4" or "mine.yaml"; later ones win.
+
+    Raises:
+        BadInput: neither form, or a file that is not a YAML mapping.
+    """
+    result: dict[str, Any] = {}
+    for argument in arguments:
+        key, equals, value = argument.partition("=")
+        try:
+            if equals:
+                for name in reversed(key.strip().split(".")):
+                    value = {name: yaml.safe_load(value) if isinstance(value, str) else value}
+                _merge(result, value)  # type: ignore[arg-type]
+            elif Path(argument).suffix in (".yaml", ".yml"):
+                loaded = yaml.safe_load(Path(argument).read_text())
+                if not isinstance(loaded, dict):
+                    raise BadInput(f"{argument}: not a mapping of keys to values")
+                _merge(result, loaded)
+            else:
+                raise BadInput(f"{argument}: give key=value or a .yaml file")
+        except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
+            raise BadInput(f"{argument}: cannot be read ({str(error).splitlines()[0]})") from error
+    return result
+
+
+def override(base: Preset, changes: Mapping[str, Any]) -> Preset:
+    """A preset with some values changed; `renderer.regions` is the regions of every part.
+
+    Raises:
+        BadInput: an unknown key (the nearest known one is named) or a value of another type.
+    """
+    changes = dict(changes)
+    regions = dict(changes.get("renderer") or {}).get("regions")
+    if regions is not None:
+        for part in ("vq", "refiner"):
+            changes[part] = {"regions": regions, **(changes.get(part) or {})}
+    return _replace(base, changes, "")
+
+
+def _merge(into: dict[str, Any], new: Mapping[str, Any]) -> None:
+    for key, value in new.items():
+        if isinstance(value, Mapping) and isinstance(into.get(key), dict):
+            _merge(into[key], value)
+        else:
+            into[key] = dict(value) if isinstance(value, Mapping) else value
+
+
+def _replace(base: T, changes: Mapping[str, Any], prefix: str) -> T:
+    hints = typing.get_type_hints(type(base))
+    values: dict[str, Any] = {}
+    for key, value in changes.items():
+        if key not in hints:
+            known = difflib.get_close_matches(str(key), hints, n=1, cutoff=0.0)
+            hint = f"; the nearest is {prefix}{known[0]}" if known else ""
+            raise BadInput(f"{prefix}{key}: no such setting{hint}")
+        current = getattr(base, key)
+        if dataclasses.is_dataclass(current):
+            if not isinstance(value, Mapping):
+                raise BadInput(f"{prefix}{key}: holds several settings, name one of them")
+            values[key] = _replace(current, value, f"{prefix}{key}.")
+        else:
+            values[key] = _convert(value, hints[key], f"{prefix}{key}")
+    try:
+        return dataclasses.replace(base, **values)  # type: ignore[type-var]
+    except ValueError as error:
+        raise BadInput(f"{prefix or 'settings'}: {error}") from error
+
+
+def _convert(value: Any, hint: Any, name: str) -> Any:
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is tuple and isinstance(value, (list, tuple)):
+        kinds = (
+            [arguments[0]] * len(value)
+            if len(arguments) == 2 and arguments[1] is Ellipsis
+            else list(arguments)
+        )
+        if len(kinds) == len(value):
+            return tuple(_convert(v, kind, name) for v, kind in zip(value, kinds, strict=True))
+    elif origin in (typing.Union, types.UnionType):
+        if value is None:
+            return None
+        return _convert(value, arguments[0], name)
+    elif hint is float and _is_number(value):
+        return float(value)
+    elif isinstance(value, hint) and (hint is bool or not isinstance(value, bool)):
+        return value
+    kind = getattr(hint, "__name__", str(hint))
+    raise BadInput(f"{name}={value}: a {kind} is wanted")
+
+
+def _is_number(value: Any) -> bool:
+    """Whether `value` is a number; YAML reads 3e-4 without a dot as text."""
+    if isinstance(value, bool):
+        return False
+    try:
+        float(value)
+    except (TypeError, ValueError):
+        return False
+    return True

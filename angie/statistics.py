@@ -1,0 +1,179 @@
+"""Normalisation statistics of a motion dataset: scales, rest poses, ranges, active regions."""
+
+import difflib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from angie.clips import MotionClip
+from angie.motion import deltas
+from data_prep.errors import BadInput
+
+BEAT_COLUMN = 41
+"""Column of the onset features with the beat one-hot, which is never standardised."""
+
+ONSET_LIMIT = 5.0
+"""Standardised onset features are clamped to this."""
+
+ACTIVE_LEAST, ACTIVE_MOST = 4, 10
+"""Fewest and most active regions."""
+
+
+@dataclass(frozen=True)
+class MotionStatistics:
+    """What training and generation must agree on, measured on the training clips.
+
+    Channels are those of the motion vector: 2K of shift, then 3K of the Cholesky factor. The
+    displacement of a pose is its difference from its speaker's rest pose.
+
+    Attributes:
+        speakers: names, P of them, sorted.
+        rest: (P, 5K) mean pose of each speaker.
+        delta_scale: (5K,) standard deviation of relative motion. Deltas are divided by it and no
+            mean is subtracted: a still person must be representable exactly.
+        pose_scale: (5K,) standard deviation of the displacement.
+        low: (5K,) 0.2th percentile of the displacement.
+        high: (5K,) 99.8th percentile of the displacement.
+        diagonal_low: (K, 2) 0.5th percentile of (l1, l3).
+        diagonal_high: (K, 2) 99.5th percentile of (l1, l3).
+        active: (K,) bool, regions that move more than the mean region, 4 to 10 of them.
+        onset_mean: (426,) mean of the onset features.
+        onset_scale: (426,) their standard deviation.
+        mfcc_mean: (12,) mean of the cepstral coefficients.
+        mfcc_scale: (12,) their standard deviation.
+    """
+
+    speakers: tuple[str, ...]
+    rest: Tensor
+    delta_scale: Tensor
+    pose_scale: Tensor
+    low: Tensor
+    high: Tensor
+    diagonal_low: Tensor
+    diagonal_high: Tensor
+    active: Tensor
+    onset_mean: Tensor
+    onset_scale: Tensor
+    mfcc_mean: Tensor
+    mfcc_scale: Tensor
+
+    @property
+    def regions(self) -> int:
+        """Number of regions K."""
+        return self.active.shape[0]
+
+    def rest_of(self, speaker: str) -> Tensor:
+        """Rest pose (5K,) of a speaker of the training set.
+
+        Raises:
+            BadInput: the speaker was not in the training set.
+        """
+        if speaker in self.speakers:
+            return self.rest[self.speakers.index(speaker)]
+        near = difflib.get_close_matches(speaker, self.speakers, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(self.speakers)}"
+        raise BadInput(f"{speaker}: not a speaker of this model; {hint}")
+
+    def standard_onset(self, onset: Tensor) -> Tensor:
+        """Standardise onset features (..., 426), clamped to +-5; the beat one-hot stays raw."""
+        standard = (onset - self.onset_mean.to(onset)) / self.onset_scale.to(onset)
+        standard = standard.clamp(-ONSET_LIMIT, ONSET_LIMIT)
+        standard[..., BEAT_COLUMN] = onset[..., BEAT_COLUMN]
+        return standard
+
+    def standard_mfcc(self, mfcc: Tensor) -> Tensor:
+        """Standardise MFCC windows (..., 28, 12) per coefficient."""
+        return (mfcc - self.mfcc_mean.to(mfcc)) / self.mfcc_scale.to(mfcc)
+
+    def save(self, path: Path) -> None:
+        """Write a safetensors file; the speakers' names are in its metadata."""
+        tensors = {name: getattr(self, name).contiguous() for name in _TENSORS}
+        save_file(tensors, path, metadata={"format": "1", "speakers": json.dumps(self.speakers)})
+
+    @classmethod
+    def load(cls, path: Path) -> "MotionStatistics":
+        """Read what `save` wrote.
+
+        Raises:
+            BadInput: missing, not a statistics file, or of a newer format.
+        """
+        try:
+            with safe_open(path, framework="pt") as file:
+                about = file.metadata() or {}
+                if about.get("format") != "1":
+                    raise BadInput(f"{path}: unknown format of statistics; update the program")
+                tensors = {name: file.get_tensor(name) for name in _TENSORS}
+        except (OSError, SafetensorError) as error:
+            raise BadInput(f"{path}: not a statistics file ({error}); train again") from error
+        return cls(speakers=tuple(json.loads(about["speakers"])), **tensors)
+
+
+_TENSORS = tuple(field.name for field in fields(MotionStatistics) if field.name != "speakers")
+
+
+def _scale(values: np.ndarray, least: float) -> np.ndarray:
+    return np.maximum(values.std(axis=0, dtype=np.float64), least)
+
+
+def _active_regions(relative: np.ndarray, regions: int) -> np.ndarray:
+    energy = np.linalg.norm(relative[:, : 2 * regions].reshape(-1, regions, 2), axis=-1).mean(0)
+    count = int((energy > energy.mean()).sum())
+    count = min(max(count, ACTIVE_LEAST), ACTIVE_MOST, regions)
+    active = np.zeros(regions, bool)
+    active[np.argsort(-energy, kind="stable")[:count]] = True
+    return active
+
+
+def measure(clips: Sequence[MotionClip]) -> MotionStatistics:
+    """Measure the statistics of training clips.
+
+    Standard deviations have a floor (1e-5 for deltas, 1e-4 for poses, both far below a pixel, and
+    1e-3 for sound), so that a channel that never changes does not divide by zero.
+
+    Args:
+        clips: training clips with motion and features, at least one.
+
+    Raises:
+        BadInput: no clips.
+    """
+    if not clips:
+        raise BadInput("dataset: no training clip has motion; run the motion stage")
+    regions = clips[0].motion.regions
+    poses = [clip.motion.vector().numpy() for clip in clips]
+    relative = np.concatenate([deltas(torch.from_numpy(pose)).numpy()[1:] for pose in poses])
+    speakers = tuple(sorted({clip.speaker for clip in clips}))
+    rest = np.zeros((len(speakers), 5 * regions), np.float64)
+    for index, speaker in enumerate(speakers):
+        own = [pose for pose, clip in zip(poses, clips, strict=True) if clip.speaker == speaker]
+        rest[index] = np.concatenate(own).mean(axis=0, dtype=np.float64)
+    displacement = np.concatenate(
+        [pose - rest[speakers.index(clip.speaker)] for pose, clip in zip(poses, clips, strict=True)]
+    )
+    low, high = np.quantile(displacement, [0.002, 0.998], axis=0)
+    factors = np.concatenate(poses)[:, 2 * regions :].reshape(-1, regions, 3)[..., ::2]
+    diagonal_low, diagonal_high = np.quantile(factors, [0.005, 0.995], axis=0)
+    onset = np.concatenate([clip.features.onset for clip in clips])
+    mfcc = np.concatenate([clip.features.mfcc.reshape(-1, 12) for clip in clips])
+    arrays = {
+        "rest": rest,
+        "delta_scale": _scale(relative, 1e-5),
+        "pose_scale": _scale(displacement, 1e-4),
+        "low": low,
+        "high": high,
+        "diagonal_low": diagonal_low,
+        "diagonal_high": diagonal_high,
+        "onset_mean": onset.mean(axis=0, dtype=np.float64),
+        "onset_scale": _scale(onset, 1e-3),
+        "mfcc_mean": mfcc.mean(axis=0, dtype=np.float64),
+        "mfcc_scale": _scale(mfcc, 1e-3),
+    }
+    tensors = {name: torch.from_numpy(value.astype(np.float32)) for name, value in arrays.items()}
+    active = torch.from_numpy(_active_regions(relative, regions))
+    return MotionStatistics(speakers=speakers, active=active, **tensors)

@@ -1,0 +1,44 @@
+"""What a speaker bundle holds, in words."""
+
+from typing import Any
+
+from angie.bundle import STAGE_OF, UPSTREAM, Bundle
+from data_prep.errors import BadInput
+
+
+def describe(bundle: Bundle) -> str:
+    """Several lines: preset, speakers, and each part with its state, data and score."""
+    manifest = bundle.manifest
+    lines = [
+        f"bundle    {bundle.folder}",
+        f"format    {manifest['format']}, made by angie {manifest['angie']}",
+        f"preset    {manifest['preset']}: {bundle.preset.renderer.regions} regions, "
+        f"{manifest['size']}x{manifest['size']} at {manifest['fps']} fps",
+        f"speakers  {', '.join(manifest['speakers']) or 'none yet'}",
+    ]
+    for part in UPSTREAM:
+        lines.append(f"{part:<10}{_state(bundle, part)}")
+    return "\n".join(lines)
+
+
+def _state(bundle: Bundle, part: str) -> str:
+    entry = bundle.manifest["parts"].get(part)
+    if entry is None:
+        return f"missing; angie train --stage {STAGE_OF.get(part, part)} makes it"
+    try:
+        bundle.path_of(part)
+    except BadInput as error:
+        return f"UNUSABLE: {error}"
+    report: dict[str, Any] = entry["report"]
+    words = [f"{entry['sha256'][:12]}"]
+    if "dataset" in report:
+        words.append(f"{report['minutes']} min in {report['clips']} clips of {report['dataset']}")
+    if "perceptual" in report:
+        words.append(f"perceptual loss {report['perceptual']}")
+    if "reconstruction" in report:
+        score = report["reconstruction"]
+        words.append(
+            f"held-out L1 {score['l1']:.4f} (copy {score['copy_l1']:.4f}), "
+            f"PSNR {score['psnr']:.2f} dB (copy {score['copy_psnr']:.2f})"
+        )
+    return "; ".join(words)

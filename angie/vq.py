@@ -1,0 +1,194 @@
+"""The VQ motion extractor: relative motion to codes of common patterns and back.
+
+Two independent streams, one for the deltas of shift (2K channels) and one for the deltas of the
+Cholesky factor (3K channels): ANGIE (NeurIPS 2022), sections 3.2 and 3.3; the layers are those of
+Bailando's motion VQ-VAE. Deltas are in units of their training standard deviation.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from angie.codebook import Codebook, Quantized
+from angie.overlap import cross_fade
+from data_prep.rates import FRAMES_PER_TOKEN
+
+DILATIONS = (1, 3, 9)
+HALVINGS = FRAMES_PER_TOKEN.bit_length() - 1
+"""Strided convolutions that make one token of 8 frames."""
+
+
+@dataclass(frozen=True)
+class VQConfig:
+    """Architecture of the VQ motion extractor; the defaults are the paper's.
+
+    Attributes:
+        regions: K.
+        width: channels of the convolutions.
+        codes: entries V of each codebook.
+        code_width: numbers of an entry.
+        update: codebook update, "ema" or "loss" (equation 9 literally).
+        decay: of the codebook's moving averages.
+        restart_below: moving count below which an entry restarts.
+    """
+
+    regions: int = 20
+    width: int = 512
+    codes: int = 512
+    code_width: int = 512
+    update: str = "ema"
+    decay: float = 0.99
+    restart_below: float = 1.0
+
+
+@dataclass
+class Reconstruction:
+    """Relative motion after the codebooks.
+
+    Attributes:
+        deltas: (B, T, 5K) reconstructed deltas, normalised; T is a multiple of 8.
+        codes: (B, 2, S) int64, shift stream first.
+        commitment: () commitment losses of the two streams, added.
+        latent: () codebook losses of the two streams, added; zero under EMA.
+    """
+
+    deltas: Tensor
+    codes: Tensor
+    commitment: Tensor
+    latent: Tensor
+
+
+class ResidualBlock(nn.Module):
+    """x + conv1(relu(conv3 of a dilation(relu(x)))), no normalisation."""
+
+    def __init__(self, width: int, dilation: int) -> None:
+        super().__init__()
+        self.wide = nn.Conv1d(width, width, 3, padding=dilation, dilation=dilation)
+        self.narrow = nn.Conv1d(width, width, 1)
+
+    def forward(self, values: Tensor) -> Tensor:
+        """(B, W, T) to the same shape."""
+        return values + self.narrow(self.wide(values.relu()).relu())
+
+
+class Encoder(nn.Module):
+    """Deltas (B, T, C) to latent vectors (B, T // 8, code_width)."""
+
+    def __init__(self, channels: int, width: int, code_width: int) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        for stage in range(HALVINGS):
+            layers.append(nn.Conv1d(width if stage else channels, width, 4, stride=2, padding=1))
+            layers.extend(ResidualBlock(width, dilation) for dilation in DILATIONS)
+        self.layers = nn.Sequential(*layers, nn.Conv1d(width, code_width, 3, padding=1))
+
+    def forward(self, deltas: Tensor) -> Tensor:
+        """Encode; frames beyond a multiple of 8 are not seen."""
+        length = deltas.shape[1] // FRAMES_PER_TOKEN * FRAMES_PER_TOKEN
+        return self.layers(deltas[:, :length].mT).mT
+
+
+class Decoder(nn.Module):
+    """Latent vectors (B, S, code_width) to deltas (B, 8S, C)."""
+
+    def __init__(self, channels: int, width: int, code_width: int) -> None:
+        super().__init__()
+        layers: list[nn.Module] = [nn.Conv1d(code_width, width, 3, padding=1)]
+        for _ in range(HALVINGS):
+            layers.extend(ResidualBlock(width, dilation) for dilation in reversed(DILATIONS))
+            layers.append(nn.ConvTranspose1d(width, width, 4, stride=2, padding=1))
+        self.layers = nn.Sequential(*layers, nn.Conv1d(width, channels, 3, padding=1))
+
+    def forward(self, latent: Tensor) -> Tensor:
+        """Decode."""
+        return self.layers(latent.mT).mT
+
+
+class VQStream(nn.Module):
+    """Encoder, codebook and decoder of one stream."""
+
+    def __init__(self, channels: int, config: VQConfig) -> None:
+        super().__init__()
+        self.encoder = Encoder(channels, config.width, config.code_width)
+        self.codebook = Codebook(
+            config.codes, config.code_width, config.update, config.decay, config.restart_below
+        )
+        self.decoder = Decoder(channels, config.width, config.code_width)
+
+    def forward(self, deltas: Tensor) -> tuple[Tensor, Quantized]:
+        """Deltas (B, T, C) to their reconstruction (B, 8S, C) and what the codebook said."""
+        quantized = self.codebook(self.encoder(deltas))
+        return self.decoder(quantized.values), quantized
+
+    @torch.no_grad()
+    def encode(self, deltas: Tensor) -> Tensor:
+        """Codes (B, S) of deltas (B, T, C)."""
+        return self.codebook.nearest(self.encoder(deltas))
+
+    @torch.no_grad()
+    def decode(self, codes: Tensor) -> Tensor:
+        """Deltas (B, 8S, C) of codes (B, S)."""
+        return self.decoder(self.codebook.dequantize(codes))
+
+
+class VQMotionExtractor(nn.Module):
+    """Relative motion to and from two streams of codes.
+
+    Args:
+        config: architecture.
+    """
+
+    mean: Tensor
+
+    def __init__(self, config: VQConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.shift = VQStream(2 * config.regions, config)
+        self.cholesky = VQStream(3 * config.regions, config)
+        self.register_buffer("mean", torch.zeros(5 * config.regions))
+        """(5K,) mean of decoded deltas over the training set, normalised; drift bounding."""
+
+    def forward(self, deltas: Tensor) -> Reconstruction:
+        """Encode, quantise and decode normalised deltas (B, T, 5K)."""
+        regions = self.config.regions
+        shift, cholesky = deltas.split([2 * regions, 3 * regions], dim=-1)
+        shift, shift_codes = self.shift(shift)
+        cholesky, cholesky_codes = self.cholesky(cholesky)
+        return Reconstruction(
+            deltas=torch.cat([shift, cholesky], dim=-1),
+            codes=torch.stack([shift_codes.codes, cholesky_codes.codes], dim=1),
+            commitment=shift_codes.commitment + cholesky_codes.commitment,
+            latent=shift_codes.latent + cholesky_codes.latent,
+        )
+
+    def encode(self, deltas: Tensor) -> Tensor:
+        """Codes (B, 2, T // 8) int64 of normalised deltas (B, T, 5K)."""
+        regions = self.config.regions
+        shift, cholesky = deltas.split([2 * regions, 3 * regions], dim=-1)
+        return torch.stack([self.shift.encode(shift), self.cholesky.encode(cholesky)], dim=1)
+
+    def decode(self, codes: Tensor) -> Tensor:
+        """Normalised deltas (B, 8S, 5K) of codes (B, 2, S)."""
+        shift, cholesky = codes.unbind(1)
+        return torch.cat([self.shift.decode(shift), self.cholesky.decode(cholesky)], dim=-1)
+
+    def decode_chunked(self, codes: Tensor, window: int = 12, hop: int = 6) -> Tensor:
+        """Deltas (8S, 5K) on the CPU of one sequence of codes (2, S), in windows as in training.
+
+        Windows of 12 codes every 6 are decoded by themselves and cross-faded linearly, so that no
+        frame sees more context than in training, and memory does not grow with S.
+        """
+        frames = codes.shape[-1] * FRAMES_PER_TOKEN
+        size = min(window, codes.shape[-1])
+
+        def compute(starts: list[int]) -> Tensor:
+            first = [start // FRAMES_PER_TOKEN for start in starts]
+            return self.decode(torch.stack([codes[:, at : at + size] for at in first]))
+
+        return cross_fade(frames, size * FRAMES_PER_TOKEN, hop * FRAMES_PER_TOKEN, compute)
+
+    def start_codes(self, window: int = 12) -> Tensor:
+        """Codes (2,) of a person who does not move: the first of a window of zero deltas."""
+        frames, channels = window * FRAMES_PER_TOKEN, 5 * self.config.regions
+        return self.encode(torch.zeros(1, frames, channels, device=self.mean.device))[0, :, 0]

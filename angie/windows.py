@@ -1,0 +1,122 @@
+"""Training windows: 96 frames of motion and the sound that goes with them, every 32 frames."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from torch.utils.data import Dataset
+
+from angie.clips import MotionClip
+from angie.statistics import MotionStatistics
+from data_prep.errors import BadInput
+from data_prep.rates import FRAMES_PER_TOKEN
+
+WINDOW = 96
+"""Frames of a training window (ANGIE, section 4)."""
+
+STRIDE = 32
+"""Frames from one training window to the next (ANGIE, section 4)."""
+
+
+class MotionWindows(Dataset[dict[str, Tensor]]):
+    """Windows of clips, each with one leading frame, as dictionaries of tensors.
+
+    Items hold the requested `parts`:
+        poses: (97, 5K) absolute motion vectors; row 0 is the frame before the window. At the
+            first frame of a clip it repeats that frame, so the first delta is zero.
+        onset: (12, 426) standardised onset features of the window's tokens.
+        mfcc: (96, 28, 12) standardised MFCC windows of its frames.
+    and one row of every tensor in `rows`. Windows begin on whole tokens.
+
+    Args:
+        clips: clips; those shorter than a window give none.
+        statistics: for standardising.
+        parts: names of the parts an item has.
+        frames: frames T of a window, a multiple of 8.
+        stride: frames from window to window, a multiple of 8.
+        rows: tensors (number of windows, ...) with something precomputed for every window.
+
+    Raises:
+        BadInput: no clip is as long as a window.
+    """
+
+    def __init__(
+        self,
+        clips: Sequence[MotionClip],
+        statistics: MotionStatistics,
+        parts: Sequence[str] = ("poses",),
+        frames: int = WINDOW,
+        stride: int = STRIDE,
+        rows: dict[str, Tensor] | None = None,
+    ) -> None:
+        if frames % FRAMES_PER_TOKEN or stride % FRAMES_PER_TOKEN:
+            raise ValueError(f"windows begin and end on tokens: {frames}, {stride}")
+        self.clips, self.statistics, self.parts = clips, statistics, tuple(parts)
+        self.frames, self.stride, self.rows = frames, stride, rows or {}
+        self.places = [
+            (index, first)
+            for index, clip in enumerate(clips)
+            for first in range(0, clip.motion.frames - frames + 1, stride)
+        ]
+        if not self.places:
+            raise BadInput(f"dataset: no clip has {frames} frames; prepare longer videos")
+
+    def __len__(self) -> int:
+        """Number of windows."""
+        return len(self.places)
+
+    def __getitem__(self, index: int) -> dict[str, Tensor]:
+        """One window."""
+        place, first = self.places[index]
+        clip = self.clips[place]
+        item = {name: getattr(self, f"_{name}")(clip, first) for name in self.parts}
+        return item | {name: rows[index] for name, rows in self.rows.items()}
+
+    def choose(self, parts: Sequence[str], **rows: Tensor) -> "MotionWindows":
+        """The same windows with other parts and other precomputed rows."""
+        return MotionWindows(
+            self.clips, self.statistics, parts, self.frames, self.stride, dict(rows)
+        )
+
+    def _poses(self, clip: MotionClip, first: int) -> Tensor:
+        motion = clip.motion[max(first - 1, 0) : first + self.frames].vector()
+        return motion if first else torch.cat([motion[:1], motion])
+
+    def _onset(self, clip: MotionClip, first: int) -> Tensor:
+        token, tokens = first // FRAMES_PER_TOKEN, self.frames // FRAMES_PER_TOKEN
+        onset = torch.as_tensor(clip.features.onset[token : token + tokens])
+        return self.statistics.standard_onset(onset)
+
+    def _mfcc(self, clip: MotionClip, first: int) -> Tensor:
+        mfcc = torch.as_tensor(clip.features.mfcc[first : first + self.frames])
+        return self.statistics.standard_mfcc(mfcc)
+
+    def stack(self, part: str, first: int, last: int) -> Tensor:
+        """One part of the windows [first, last), as far as there are any, stacked."""
+        last = min(last, len(self))
+        if part in self.rows:
+            return self.rows[part][first:last]
+        compute = getattr(self, f"_{part}")
+        places = self.places[first:last]
+        return torch.stack([compute(self.clips[index], frame) for index, frame in places])
+
+
+def hold_out(
+    clips: Sequence[MotionClip], frames: int = WINDOW, every: int = 10
+) -> tuple[list[MotionClip], list[MotionClip]]:
+    """Split clips into those to train on and those to choose the best weights by.
+
+    Every tenth clip long enough for a window is held out; of 4 to 9 clips the last; of fewer none.
+
+    Args:
+        clips: training clips.
+        frames: frames of a window.
+        every: one clip in so many is held out.
+
+    Returns:
+        (training clips, held-out clips).
+    """
+    long = [clip for clip in clips if clip.motion.frames >= frames]
+    held = long[every - 1 :: every] or (long[-1:] if len(long) >= 4 else [])
+    names = {clip.name for clip in held}
+    return [clip for clip in clips if clip.name not in names], held

@@ -1,0 +1,68 @@
+"""Small synthetic clips whose motion follows their sound, for the tests of the motion stages."""
+
+import numpy as np
+import pytest
+import torch
+
+from angie.clips import MotionClip
+from angie.motion import Motion
+from angie.statistics import MotionStatistics, measure
+from data_prep.features import SpeechFeatures
+
+REGIONS = 4
+
+
+def envelope(frames: int, rng: np.random.Generator) -> np.ndarray:
+    """Phrases: bursts of 24 frames that are either loud or silent, smooth at their ends."""
+    loud = rng.integers(0, 2, frames // 24 + 2).repeat(24)[:frames].astype(np.float64)
+    return np.convolve(np.pad(loud, 4, mode="edge"), np.hanning(9) / 4, mode="valid")
+
+
+def features_of(level: np.ndarray, rng: np.random.Generator) -> SpeechFeatures:
+    frames = len(level)
+    tokens = -(-frames // 8)
+    onset = rng.normal(size=(tokens, 426)).astype(np.float32) * 0.1
+    padded = np.pad(level, (0, tokens * 8 - frames), mode="edge")
+    onset[:, :40] += padded.reshape(tokens, 8).mean(1, keepdims=True).astype(np.float32) * 10
+    onset[:, 41] = rng.integers(0, 2, tokens)
+    mfcc = rng.normal(size=(frames, 28, 12)).astype(np.float32) * 0.1
+    mfcc += level[:, None, None].astype(np.float32)
+    return SpeechFeatures(onset, mfcc, np.zeros(0, np.float32))
+
+
+def synthetic_clip(frames: int, seed: int, speaker: str = "ada") -> MotionClip:
+    """A clip in which two regions swing while there is sound and rest while there is none."""
+    rng = np.random.default_rng(seed)
+    level = envelope(frames, rng)  # (T,)
+    swing = 0.2 * level * np.sin(np.arange(frames) * 2 * np.pi / 24)
+    shift = np.zeros((frames, REGIONS, 2))
+    shift[:] = [[-0.5, 0.5], [0.5, 0.5], [0.0, -0.5], [0.0, 0.0]]
+    shift[:, 0, 1] += swing
+    shift[:, 1, 1] -= swing
+    cholesky = np.zeros((frames, REGIONS, 3))
+    cholesky[:] = [0.15, 0.02, 0.1]
+    cholesky[:, :2, 1] += 0.2 * swing[:, None]
+    shift += rng.normal(size=shift.shape) * 1e-4
+    cholesky += rng.normal(size=cholesky.shape) * 1e-4
+    motion = Motion(
+        torch.from_numpy(shift.astype(np.float32)), torch.from_numpy(cholesky.astype(np.float32))
+    )
+    return MotionClip(f"{speaker}_{seed}", speaker, motion, features_of(level, rng))
+
+
+@pytest.fixture(scope="session")
+def make_clip():
+    """The function that makes a synthetic clip of (frames, seed, speaker)."""
+    return synthetic_clip
+
+
+@pytest.fixture(scope="session")
+def clips(make_clip) -> list[MotionClip]:
+    """Twelve clips of ten seconds by two speakers."""
+    return [make_clip(250, seed, "ada" if seed % 2 else "bob") for seed in range(12)]
+
+
+@pytest.fixture(scope="session")
+def statistics(clips) -> MotionStatistics:
+    """The statistics of `clips`."""
+    return measure(clips)

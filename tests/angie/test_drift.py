@@ -1,0 +1,69 @@
+import math
+
+import pytest
+import torch
+
+from angie.drift import bounded, integrate_bounded, integrate_leaky, soft_range
+from angie.motion import integrate
+
+
+def test_auto_bounds_only_above_ten_seconds():
+    assert not bounded("auto", 250) and bounded("auto", 251)
+    assert bounded("on", 1) and not bounded("off", 10_000)
+    with pytest.raises(ValueError, match="auto, on, off"):
+        bounded("maybe", 1)
+
+
+def test_leaky_integration_of_a_hand_worked_case():
+    # tau = 1/25 s: rho = e^-1; y1 = 2 - 1 = 1, y2 = y1/e + 3, y3 = y2/e + 0
+    motion = integrate_leaky(
+        torch.tensor([[7.0], [3.0], [0.0]]), torch.tensor([2.0]), torch.tensor([1.0]), tau=1 / 25
+    )
+    second = 1 / math.e + 3
+    expected = torch.tensor([[2.0], [1 + second], [1 + second / math.e]])
+    assert torch.allclose(motion, expected)
+
+
+def test_without_a_leak_it_is_the_plain_sum():
+    delta, start = torch.randn(50, 4) * 0.01, torch.randn(4)
+    assert torch.allclose(
+        integrate_leaky(delta, start, start, tau=1e9), integrate(delta, start), atol=1e-5
+    )
+
+
+def test_soft_range_leaves_the_middle_alone_and_bends_the_rest():
+    values = torch.tensor([[0.0], [0.79], [-0.8], [0.9], [50.0], [-50.0]])
+    bent = soft_range(values, torch.tensor([-1.0]), torch.tensor([1.0]))
+    assert torch.equal(bent[:3], values[:3])
+    assert bent[3].item() == pytest.approx(0.8 + 0.2 * math.tanh(0.5))
+    assert bent[4].item() == pytest.approx(1.0) and bent[5].item() == pytest.approx(-1.0)
+
+
+def test_soft_range_keeps_a_start_outside_it():
+    values = torch.tensor([[2.0], [3.0]])
+    bent = soft_range(values, torch.tensor([-1.0]), torch.tensor([1.0]))
+    assert bent[0].item() == 2.0
+    assert 2.0 < bent[1].item() <= 2.5
+
+
+def test_a_minute_of_biased_deltas_stays_bounded():
+    # a bias of 1e-4 a frame: the plain sum ends 0.15 away, the leak settles at
+    # 1e-4 / (1 - exp(-1/200)) = 0.02005
+    frames, bias = 1500, 1e-4
+    delta = torch.full((frames, 5), bias)
+    start = torch.zeros(5)
+    wide = torch.ones(5)
+    plain = integrate(delta, start)
+    leaky = integrate_bounded(delta, start, start, torch.zeros(5), -wide, wide)
+    known = integrate_bounded(delta, start, start, torch.full((5,), bias), -wide, wide)
+    assert plain.abs().max() > 0.14
+    assert leaky[-1, 0].item() == pytest.approx(bias / (1 - math.exp(-1 / 200)), rel=1e-3)
+    assert leaky.abs().max() < 0.05
+    assert known.abs().max() < 1e-7
+
+
+def test_frame_one_is_the_start_exactly():
+    start, rest = torch.randn(5), torch.randn(5)
+    low, high = torch.full((5,), -0.01), torch.full((5,), 0.01)
+    motion = integrate_bounded(torch.randn(300, 5), start, rest, torch.zeros(5), low, high)
+    assert torch.equal(motion[0], start)

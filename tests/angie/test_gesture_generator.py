@@ -1,0 +1,176 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from angie.generator import AngieGenerator, GenerationConfig, voiced_tokens
+from angie.gpt import CoSpeechGPT, GPTConfig
+from angie.motion import Motion
+from angie.refiner import Refiner, RefinerConfig
+from angie.sampling import Sampling
+from angie.vq import VQConfig, VQMotionExtractor
+from data_prep.errors import BadInput
+from data_prep.features import SpeechFeatures
+
+
+@pytest.fixture(scope="module")
+def generator(statistics) -> AngieGenerator:
+    """Parts with random weights that are large enough to move and to react."""
+    torch.manual_seed(0)
+    vq = VQMotionExtractor(VQConfig(regions=4, width=16, codes=32, code_width=8)).train()
+    vq(torch.randn(8, 96, 20))
+    gpt = CoSpeechGPT(GPTConfig(codes=32, width=24, heads=3, layers=2))
+    refiner = Refiner(RefinerConfig(regions=4, sound=8, motion=8, hidden=8))
+    for parameter in [*gpt.parameters(), refiner.shift.out.weight, refiner.cholesky.out.weight]:
+        torch.nn.init.normal_(parameter, std=0.3)
+    return AngieGenerator(vq, gpt, refiner, statistics)
+
+
+def configured(generator: AngieGenerator, **changes) -> AngieGenerator:
+    return dataclasses.replace(generator, config=dataclasses.replace(generator.config, **changes))
+
+
+@pytest.fixture(scope="module")
+def speech(make_clip) -> SpeechFeatures:
+    return make_clip(275, 5).features
+
+
+@pytest.fixture(scope="module")
+def start(make_clip) -> Motion:
+    return make_clip(8, 1).motion[:1]
+
+
+def silence(frames: int) -> SpeechFeatures:
+    return SpeechFeatures(
+        np.zeros((-(-frames // 8), 426), np.float32),
+        np.zeros((frames, 28, 12), np.float32),
+        np.zeros(0, np.float32),
+    )
+
+
+@pytest.mark.parametrize("frames", [1, 7, 8, 9, 96, 275])
+@pytest.mark.parametrize("bounding", ["off", "on"])
+def test_exactly_the_frames_asked_for_from_the_start_pose(
+    generator, speech, start, frames, bounding
+):
+    motion = configured(generator, bounding=bounding).generate(speech, start, frames)
+    assert motion.shift.shape == (frames, 4, 2) and motion.cholesky.shape == (frames, 4, 3)
+    assert torch.equal(motion.vector()[0], start.vector()[0])
+
+
+def test_the_same_seed_gives_the_same_motion_and_another_another(generator, speech, start):
+    one = generator.generate(speech, start, 275, seed=1).vector()
+    assert torch.equal(one, generator.generate(speech, start, 275, seed=1).vector())
+    assert not torch.allclose(one, generator.generate(speech, start, 275, seed=2).vector())
+
+
+def test_the_global_random_state_plays_no_part(generator, speech, start):
+    torch.manual_seed(1)
+    one = generator.generate(speech, start, 96, seed=1).vector()
+    torch.manual_seed(2)
+    assert torch.equal(one, generator.generate(speech, start, 96, seed=1).vector())
+
+
+def test_greedy_follows_the_sound(generator, speech, start, make_clip):
+    greedy = configured(generator, sampling=Sampling(method="greedy"))
+    one = greedy.generate(speech, start, 200, seed=1).vector()
+    assert torch.equal(one, greedy.generate(speech, start, 200, seed=2).vector())
+    other = greedy.generate(make_clip(275, 8).features, start, 200).vector()
+    assert not torch.allclose(one, other)
+
+
+def test_covariances_stay_positive_definite(generator, speech, start):
+    for bounding in ("off", "on"):
+        motion = configured(generator, bounding=bounding).generate(speech, start, 275)
+        assert torch.linalg.eigvalsh(motion.covariance().double()).min() > 0
+        ceiling = 1.5 * generator.statistics.diagonal_high
+        assert (motion.cholesky[..., ::2] <= ceiling + 1e-6).all()
+
+
+def test_a_minute_of_silence_stays_bounded_whatever_the_codes_do(generator, statistics, start):
+    # random decoders drift without end; bounded, the pattern stays in the training range, and
+    # the residual, which sees one window at a time, cannot accumulate
+    bounded = configured(generator, bounding="auto", refine=False)
+    motion = bounded.generate(silence(1500), start, 1500)
+    moved = (motion.vector() - start.vector())[:, :8]
+    assert (moved <= statistics.high[:8] + 1e-4).all()
+    assert (moved >= statistics.low[:8] - 1e-4).all()
+
+
+def test_a_still_person_stays_still_for_a_minute(generator, start):
+    # a decoder whose output is one constant has nothing but drift, which `mean` takes away
+    still = configured(generator, bounding="on", refine=False)
+    state = {name: value.clone() for name, value in still.vq.state_dict().items()}
+    try:
+        for stream in (still.vq.shift, still.vq.cholesky):
+            torch.nn.init.zeros_(stream.decoder.layers[-1].weight)
+        still.vq.mean.copy_(still.vq.decode(torch.zeros(1, 2, 1, dtype=torch.int64))[0, 0])
+        moved = still.generate(silence(1500), start, 1500).vector() - start.vector()
+    finally:
+        still.vq.load_state_dict(state)
+    assert moved.abs().max() < 1e-4
+
+
+def test_a_known_speaker_returns_to_the_rest_pose(generator, speech, start):
+    bounded = configured(generator, bounding="on", refine=False)
+    known = bounded.generate(speech, start, 275, speaker="ada")
+    anyone = bounded.generate(speech, start, 275)
+    assert not torch.allclose(known.vector(), anyone.vector())
+    with pytest.raises(BadInput, match="did you mean 'ada'"):
+        bounded.generate(speech, start, 275, speaker="adah")
+
+
+def test_short_motion_is_bounded_only_when_asked(generator, speech, start):
+    plain = generator.generate(speech, start, 250).vector()
+    auto = configured(generator, bounding="auto")
+    assert torch.equal(plain, auto.generate(speech, start, 250).vector())
+    plain = generator.generate(speech, start, 251).vector()
+    assert not torch.equal(plain, auto.generate(speech, start, 251).vector())
+
+
+def test_motion_without_refinement_is_the_pattern(generator, speech, start):
+    refined = generator.generate(speech, start, 96).vector()
+    pattern = configured(generator, refine=False).generate(speech, start, 96).vector()
+    assert not torch.allclose(refined[20:], pattern[20:], atol=1e-4)
+    assert torch.allclose(refined[:1], pattern[:1])
+
+
+def test_windows_of_codes_can_be_decoded_by_themselves(generator, speech, start):
+    chunked = configured(generator, decode="chunked")
+    assert torch.allclose(
+        chunked.generate(speech, start, 96).vector(),
+        generator.generate(speech, start, 96).vector(),
+        atol=1e-5,
+    )
+    assert chunked.generate(speech, start, 275).frames == 275
+
+
+def test_seed_codes_begin_the_sequence(generator, speech, start):
+    onset = torch.as_tensor(speech.onset)
+    begin = torch.tensor([[1, 2, 3], [4, 5, 6]])
+    assert torch.equal(generator._codes(onset, 0, begin)[:, :3], begin)
+    assert torch.equal(generator._codes(onset, 0, None)[:, 0], generator.vq.start_codes())
+
+
+def test_too_little_sound_or_a_foreign_pose_is_refused(generator, speech, start):
+    with pytest.raises(ValueError, match="276 frames need"):
+        generator.generate(speech, start, 276)
+    with pytest.raises(ValueError, match="4 regions"):
+        generator.generate(speech, Motion(torch.zeros(1, 5, 2), torch.zeros(1, 5, 3)), 8)
+
+
+def test_parts_that_do_not_fit_are_refused(generator):
+    other = Refiner(RefinerConfig(regions=5, sound=8, motion=8, hidden=8))
+    with pytest.raises(ValueError, match="not trained on one another"):
+        dataclasses.replace(generator, refiner=other)
+    with pytest.raises(ValueError, match="auto, on, off"):
+        GenerationConfig(bounding="perhaps")
+
+
+def test_voiced_tokens_stand_out_of_the_noise_floor():
+    onset = torch.zeros(20, 426)
+    onset[:, 0] = -300.0
+    onset[5:10, 0] = -100.0
+    assert voiced_tokens(onset).nonzero().flatten().tolist() == [5, 6, 7, 8, 9]
+    assert not voiced_tokens(torch.zeros(20, 426)).any()

@@ -1,0 +1,33 @@
+import pytest
+import torch
+
+from angie.overlap import cross_fade, window_starts
+
+
+def test_windows_cover_to_the_very_end():
+    assert window_starts(10, 4, 2) == [0, 2, 4, 6]
+    assert window_starts(11, 4, 2) == [0, 2, 4, 6, 7]
+    assert window_starts(3, 4, 2) == [0]
+    with pytest.raises(ValueError, match="cannot cover 0"):
+        window_starts(0, 4, 2)
+
+
+@pytest.mark.parametrize("length", [1, 5, 96, 97, 150, 1000])
+def test_windows_that_agree_are_reproduced(length):
+    truth = torch.randn(length, 3)
+    size = min(96, length)
+
+    def compute(starts):
+        return torch.stack([truth[at : at + size] for at in starts])
+
+    assert torch.allclose(cross_fade(length, 96, 48, compute, at_once=2), truth, atol=1e-6)
+
+
+def test_the_fade_is_linear():
+    # windows 0 and 1 overlap in 4 frames: weights (4,1), (3,2), (2,3), (1,4) out of 5
+    def compute(starts):
+        return torch.stack([torch.full((8, 1), float(at > 0)) for at in starts])
+
+    blended = cross_fade(12, 8, 4, compute)[:, 0]
+    assert torch.allclose(blended[4:8], torch.tensor([0.2, 0.4, 0.6, 0.8]))
+    assert (blended[:4] == 0).all() and (blended[8:] == 1).all()

@@ -1,0 +1,58 @@
+import pytest
+import torch
+
+from angie.windows import MotionWindows, hold_out
+from data_prep.errors import BadInput
+
+PARTS = ("poses", "onset", "mfcc")
+
+
+def test_windows_start_every_32_frames_of_each_clip(make_clip, statistics):
+    windows = MotionWindows([make_clip(250, 0), make_clip(96, 1)], statistics)
+    # 0, 32, 64, 96, 128 end at 96 ... 224; 160 would end at 256 > 250
+    assert windows.places == [(0, 0), (0, 32), (0, 64), (0, 96), (0, 128), (1, 0)]
+
+
+def test_a_window_and_its_sound_belong_together(make_clip, statistics):
+    clip = make_clip(250, 0)
+    item = MotionWindows([clip], statistics, PARTS)[1]
+    vector = clip.motion.vector()
+    assert torch.equal(item["poses"], vector[31:128])
+    onset = torch.from_numpy(clip.features.onset)
+    mfcc = torch.from_numpy(clip.features.mfcc)
+    assert torch.equal(item["onset"], statistics.standard_onset(onset[4:16]))
+    assert torch.equal(item["mfcc"], statistics.standard_mfcc(mfcc[32:128]))
+
+
+def test_the_first_frame_of_a_clip_leads_itself(make_clip, statistics):
+    clip = make_clip(96, 0)
+    poses = MotionWindows([clip], statistics)[0]["poses"]
+    assert poses.shape == (97, 20)
+    assert torch.equal(poses[0], poses[1]) and torch.equal(poses[1:], clip.motion.vector())
+
+
+def test_rows_travel_with_their_windows(clips, statistics):
+    windows = MotionWindows(clips, statistics)
+    numbered = windows.choose(["onset"], number=torch.arange(len(windows)))
+    assert set(numbered[7]) == {"onset", "number"} and numbered[7]["number"] == 7
+    assert torch.equal(numbered.stack("number", 3, 5), torch.tensor([3, 4]))
+    assert torch.equal(numbered.stack("onset", 2, 99999)[1], numbered[3]["onset"])
+
+
+def test_clips_that_are_too_short_are_bad_input(make_clip, statistics):
+    with pytest.raises(BadInput, match="96 frames"):
+        MotionWindows([make_clip(95, 0)], statistics)
+
+
+def test_more_motion_than_sound_is_bad_input(make_clip):
+    long, short = make_clip(100, 0), make_clip(90, 1)
+    with pytest.raises(BadInput, match="ada_0: 100 frames of motion but 90"):
+        type(long)(long.name, long.speaker, long.motion, short.features)
+
+
+def test_held_out_clips_are_not_trained_on(clips, make_clip):
+    kept, held = hold_out(clips)
+    assert [clip.name for clip in held] == [clips[9].name] and len(kept) == 11
+    kept, held = hold_out([make_clip(96, seed) for seed in range(5)])
+    assert [clip.name for clip in held] == ["ada_4"] and len(kept) == 4
+    assert hold_out(clips[:3]) == (clips[:3], [])
