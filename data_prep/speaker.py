@@ -8,7 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from data_prep.errors import BadInput
 from data_prep.rates import IMAGE_SIZE
 
 SIDE_IN_FACES = 4.2
@@ -205,22 +204,6 @@ def speaker_crop(face: Face, height: int, width: int) -> Crop:
     y = place(face.centre_y - FACE_DOWN * side, height)
     size = round(side)
     return Crop(min(round(x), max(width - size, 0)), min(round(y), max(height - size, 0)), size)
-
-
-def photo_crop(image: np.ndarray, path: Path) -> Crop:
-    """The square around the speaker of a photo, who has the largest face in it.
-
-    Args:
-        image: `(H, W, 3)` uint8 RGB.
-        path: of the photo, for the message.
-
-    Raises:
-        BadInput: no face is found.
-    """
-    faces = find_faces(image)
-    if not faces:
-        raise BadInput(f"{path}: no face found; give the square yourself with --crop x,y,size")
-    return speaker_crop(faces[0], *image.shape[:2])
 
 
 def cut_out(image: np.ndarray, crop: Crop, size: int = IMAGE_SIZE) -> np.ndarray:

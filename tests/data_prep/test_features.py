@@ -1,0 +1,118 @@
+"""Speech features: the stated columns in the stated order, and windows centred on their frames."""
+
+import librosa
+import numpy as np
+import pytest
+import soxr
+
+from data_prep.cepstrum import cepstra
+from data_prep.features import mfcc_windows, onset_rows, onset_times, speech_features
+
+
+def bursts(seconds: float, every: float = 0.5, seed: int = 0) -> np.ndarray:
+    """Noise bursts of 80 ms at regular times, like syllables."""
+    t = np.arange(round(seconds * 16000)) / 16000
+    noise = np.random.default_rng(seed).standard_normal(len(t))
+    return (0.3 * noise * (t % every < 0.08)).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("samples", "frames", "tokens"),
+    [(1, 1, 1), (640, 1, 1), (641, 2, 1), (5120, 8, 1), (5121, 9, 2), (176000, 275, 35)],
+)
+def test_sizes_cover_the_sound(samples: int, frames: int, tokens: int) -> None:
+    features = speech_features(bursts(12)[:samples])
+    assert features.onset.shape == (tokens, 426)
+    assert features.mfcc.shape == (frames, 28, 12)
+    assert features.onset.dtype == features.mfcc.dtype == features.onset_times.dtype == np.float32
+    assert np.isfinite(features.onset).all() and np.isfinite(features.mfcc).all()
+
+
+def test_silence_is_finite_and_has_no_beats() -> None:
+    features = speech_features(np.zeros(48000, np.float32))
+    assert np.isfinite(features.onset).all() and np.isfinite(features.mfcc).all()
+    assert not features.onset[:, 40:42].any()
+    assert len(features.onset_times) == 0
+
+
+def test_onset_columns_are_in_the_stated_order() -> None:
+    samples = bursts(20)
+    rows = onset_rows(samples)
+    slow = soxr.resample(samples, 16000, 1600)
+    mel = librosa.feature.melspectrogram(
+        y=slow, sr=1600, n_fft=2048, hop_length=512, n_mels=128, power=2.0
+    )
+    mfcc = librosa.feature.mfcc(S=librosa.power_to_db(mel, ref=np.max), n_mfcc=20)
+    percussive = librosa.effects.percussive(slow)
+    strength = librosa.onset.onset_strength(
+        y=percussive, sr=1600, hop_length=512, aggregate=np.median
+    )
+    tempogram = librosa.feature.tempogram(
+        onset_envelope=strength, sr=1600, hop_length=512, win_length=384
+    )
+    n = len(rows)
+    assert n == 63
+    np.testing.assert_allclose(rows[:, :20], mfcc.T[:n], rtol=1e-4, atol=1e-3)
+    # A delta of width 3 is half the difference of the neighbours.
+    half = (rows[2:, :20] - rows[:-2, :20]) / 2
+    np.testing.assert_allclose(rows[1:-1, 20:40], half, atol=1e-2)
+    np.testing.assert_allclose(rows[:, 40], strength[:n], rtol=1e-4, atol=1e-4)
+    assert set(np.unique(rows[:, 41])) <= {0.0, 1.0} and rows[:, 41].any()
+    np.testing.assert_allclose(rows[:, 42:], tempogram.T[:n], atol=1e-3)
+
+
+def test_short_sound_is_mirrored_to_what_the_recipe_needs() -> None:
+    short = bursts(0.6)
+    mirrored = np.pad(short, (0, 25600 - len(short)), mode="reflect")
+    np.testing.assert_array_equal(onset_rows(short), onset_rows(mirrored)[:2])
+
+
+def test_mfcc_window_is_centred_on_its_frame() -> None:
+    frame = 30
+    samples = np.zeros(64 * 640, np.float32)
+    samples[frame * 640 + 320] = 0.9
+    windows = mfcc_windows(samples)
+    # Away from the click every row is that of silence.
+    rows = np.abs(windows - windows[0, 0]).sum(axis=2) > 1e-3
+    assert set(np.flatnonzero(rows[frame])) <= {12, 13, 14, 15}
+    assert rows[frame].any()
+    assert set(np.flatnonzero(rows[frame + 1])) <= {8, 9, 10, 11}
+    assert set(np.flatnonzero(rows[frame - 3])) <= {24, 25, 26, 27}
+    assert rows[frame - 3].any() and not rows[frame - 4].any() and not rows[frame + 4].any()
+
+
+def test_windows_of_neighbouring_frames_share_rows() -> None:
+    windows = mfcc_windows(bursts(2))
+    np.testing.assert_array_equal(windows[1:, :24], windows[:-1, 4:])
+
+
+def test_cepstrum_of_a_click_by_hand() -> None:
+    # A single 1 at the start of a window: pre-emphasis makes it 1, -0.97, whose spectrum is
+    # |1 - 0.97 exp(-i w)|^2 / 512 = (1 + 0.97^2 - 1.94 cos w) / 512.
+    samples = np.zeros(400)
+    samples[0] = 1.0
+    power = (1 + 0.97**2 - 1.94 * np.cos(2 * np.pi * np.arange(257) / 512)) / 512
+    row = cepstra(samples, 1)[0]
+    assert row[0] == pytest.approx(np.log(power.sum()))
+    mel = 2595 * np.log10(1 + 8000 / 700)
+    edges = np.floor(513 * 700 * (10 ** (np.linspace(0, mel, 28) / 2595) - 1) / 16000).astype(int)
+    logs = []
+    for a, b, c in zip(edges, edges[1:], edges[2:], strict=False):
+        weight = [(k - a) / (b - a) for k in range(a, b)] + [(c - k) / (c - b) for k in range(b, c)]
+        logs.append(np.log(np.dot(weight, power[a:c])))
+    for k in (1, 5, 12):
+        basis = np.cos(np.pi * k * (2 * np.arange(26) + 1) / 52) * np.sqrt(2 / 26)
+        lift = 1 + 11 * np.sin(np.pi * k / 22)
+        assert row[k] == pytest.approx(lift * np.dot(basis, logs))
+
+
+def test_onset_times_are_where_the_bursts_are() -> None:
+    times = onset_times(bursts(4, every=1.0))
+    for burst in (1.0, 2.0, 3.0):
+        assert np.abs(times - burst).min() < 0.05
+
+
+def test_bad_shapes_are_refused() -> None:
+    for bad in (np.zeros(0, np.float32), np.zeros((100, 2), np.float32)):
+        with pytest.raises(ValueError, match="must be"):
+            speech_features(bad)
