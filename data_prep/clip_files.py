@@ -1,0 +1,102 @@
+"""The files of one clip, and whether a clip is worth keeping."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from data_prep.cutting import MIN_FRAMES
+from data_prep.dataset import write_features
+from data_prep.features import speech_features
+from data_prep.frame_store import encode_frame, write_frames
+from data_prep.rates import FPS, IMAGE_SIZE, SAMPLE_RATE, SAMPLES_PER_FRAME
+from data_prep.sound import write_wav
+from data_prep.video_writer import VideoWriter
+from data_prep.words import Word, slice_words, write_words
+
+FOLDERS = ("video", "frames", "audio", "features", "words")
+"""Folders of a dataset that hold one file for each clip."""
+
+COMMENT = "Clip of a dataset prepared by angie"
+
+MIN_MOTION = 0.05
+"""Mean grey level by which neighbouring frames differ, of 255; below it nothing moves."""
+
+MAX_JUMP = 30.0
+"""Mean grey level difference of two frames that only a cut or a flash makes."""
+
+_SMALL = 64
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Frames and sound of a clip before it is written.
+
+    Attributes:
+        id: name of its files.
+        first: number of its first frame in the video at 25 fps.
+        frames: `(256, 256, 3)` uint8 RGB each.
+        samples: `(640 T,)` float32 mono at 16 kHz.
+    """
+
+    id: str
+    first: int
+    frames: list[np.ndarray]
+    samples: np.ndarray
+
+
+def piece_of_sound(samples: np.ndarray, first: int, count: int) -> np.ndarray:
+    """Samples under `count` frames from frame `first` on; silence where the sound is over."""
+    part = samples[first * SAMPLES_PER_FRAME : (first + count) * SAMPLES_PER_FRAME]
+    return np.pad(part, (0, count * SAMPLES_PER_FRAME - len(part)))
+
+
+def fault(piece: Piece) -> str | None:
+    """Why a clip must be dropped, or None."""
+    if len(piece.frames) < MIN_FRAMES:
+        return f"shorter than {MIN_FRAMES} frames"
+    small = np.stack(
+        [
+            cv2.resize(
+                cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY),
+                (_SMALL, _SMALL),
+                interpolation=cv2.INTER_AREA,
+            )
+            for frame in piece.frames
+        ]
+    ).astype(np.float32)
+    change = np.abs(np.diff(small, axis=0)).mean(axis=(1, 2))
+    if change.mean() < MIN_MOTION:
+        return "without motion"
+    if change.max() > MAX_JUMP:
+        return "a cut or flash inside"
+    return None
+
+
+def write_clip(folder: Path, piece: Piece, words: list[Word] | None) -> None:
+    """Write all files of a clip into the folders of a dataset.
+
+    Args:
+        folder: the dataset; its `FOLDERS` exist.
+        piece: the clip.
+        words: of the whole video, with times from its first frame; None when unknown.
+    """
+    write_wav(folder / "audio" / f"{piece.id}.wav", piece.samples, SAMPLE_RATE)
+    write_features(folder / "features" / f"{piece.id}.npz", speech_features(piece.samples))
+    write_frames(folder / "frames" / f"{piece.id}.safetensors", map(encode_frame, piece.frames))
+    if words is not None:
+        start = piece.first / FPS
+        inside = slice_words(words, start, start + len(piece.frames) / FPS)
+        write_words(folder / "words" / f"{piece.id}.json", inside)
+    video = VideoWriter(
+        folder / "video" / f"{piece.id}.mp4",
+        (IMAGE_SIZE, IMAGE_SIZE),
+        FPS,
+        sound=(piece.samples, SAMPLE_RATE),
+        comment=COMMENT,
+        threads=1,
+    )
+    with video:
+        for frame in piece.frames:
+            video.write(frame)

@@ -1,0 +1,57 @@
+"""Where to cut a long video into clips: at the quietest moments of its sound."""
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from data_prep.rates import FPS, SAMPLES_PER_FRAME
+
+SHORTEST = 4 * FPS
+"""Frames of the shortest clip that is planned (ANGIE's clips have 4 to 14 s)."""
+
+USUAL = 10 * FPS
+"""Frames of a clip where the sound does not ask for another length."""
+
+LONGEST = 14 * FPS
+
+MIN_FRAMES = 97
+"""A clip with fewer frames gives no window of 96 frame-to-frame differences."""
+
+_SMOOTHING = FPS // 5
+_FLOOR_DB = -80.0
+
+
+def loudness(samples: np.ndarray, frames: int) -> np.ndarray:
+    """Level of the sound over 0.2 s around the start of each frame, `(frames,)` in dB."""
+    padded = np.zeros(frames * SAMPLES_PER_FRAME)
+    count = min(len(samples), len(padded))
+    padded[:count] = samples[:count]
+    power = np.mean(padded.reshape(frames, SAMPLES_PER_FRAME) ** 2, axis=1)
+    # The mean over an odd window is centred on a frame; a cut is at its start.
+    smooth = uniform_filter1d(power, _SMOOTHING, mode="nearest")
+    return np.maximum(10 * np.log10(np.maximum(smooth, 1e-12)), _FLOOR_DB)
+
+
+def clip_bounds(samples: np.ndarray, frames: int) -> list[tuple[int, int]]:
+    """Cut a video into clips that cover it without a gap.
+
+    Each cut is where loudness, and distance from the usual length, are least.
+
+    Args:
+        samples: `(N,)` mono sound at 16 kHz from the first frame on.
+        frames: of the video, at 25 a second.
+
+    Returns:
+        first and one past the last frame of each clip. All have `SHORTEST` to `LONGEST`
+        frames, unless the video itself is shorter.
+    """
+    level = loudness(samples, frames)
+    bounds: list[tuple[int, int]] = []
+    start = 0
+    while frames - start > LONGEST:
+        lengths = np.arange(SHORTEST, min(LONGEST, frames - start - SHORTEST) + 1)
+        cost = level[start + lengths] / 10 + ((lengths - USUAL) / SHORTEST) ** 2
+        stop = start + int(lengths[np.argmin(cost)])
+        bounds.append((start, stop))
+        start = stop
+    bounds.append((start, frames))
+    return bounds

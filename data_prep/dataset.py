@@ -1,0 +1,142 @@
+"""A dataset folder: clips of speakers with frames, sound, features and words."""
+
+import csv
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from data_prep.errors import BadInput
+from data_prep.features import SpeechFeatures
+from data_prep.frame_store import FrameStore
+from data_prep.sound import read_sound
+from data_prep.words import Word, read_words
+
+__all__ = ["Clip", "Dataset", "FrameStore", "SpeechFeatures", "Word"]
+
+FORMAT = 1
+"""Version of the layout; a newer one is refused."""
+
+MANIFEST = "dataset.json"
+TABLE = "meta.csv"
+COLUMNS = ("clip_id", "speaker", "split", "source", "start", "fps", "n_frames", "duration")
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One clip.
+
+    Attributes:
+        id: name of its files.
+        speaker: who speaks.
+        split: "train" or "test".
+        source: name of the video it was cut from.
+        start: seconds from the first frame of that video.
+        n_frames: frames at 25 fps.
+    """
+
+    id: str
+    speaker: str
+    split: str
+    source: str
+    start: float
+    n_frames: int
+
+
+def write_table(path: Path, clips: list[Clip], fps: int) -> None:
+    """Write `meta.csv`, one row for each clip, ordered by clip id."""
+    with Path(path).open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(COLUMNS)
+        for c in sorted(clips, key=lambda clip: clip.id):
+            where = (c.id, c.speaker, c.split, c.source, f"{c.start:.2f}")
+            table.writerow((*where, fps, c.n_frames, f"{c.n_frames / fps:.2f}"))
+
+
+def write_features(path: Path, features: SpeechFeatures) -> None:
+    """Write features as npz: `onset`, `mfcc`, `onset_times`."""
+    with Path(path).open("wb") as file:
+        np.savez(file, onset=features.onset, mfcc=features.mfcc, onset_times=features.onset_times)
+
+
+class Dataset:
+    """A folder that `angie prepare` made.
+
+    Attributes:
+        path: the folder.
+        manifest: content of `dataset.json`: format, fps, size, sample rate, sources.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read the table of clips.
+
+        Raises:
+            BadInput: no dataset, or of a newer format.
+        """
+        self.path = Path(path)
+        try:
+            text = (self.path / MANIFEST).read_text(encoding="utf-8")
+            self.manifest: dict[str, Any] = json.loads(text)
+            with (self.path / TABLE).open(encoding="utf-8", newline="") as file:
+                rows = list(csv.DictReader(file))
+            self._clips = [
+                Clip(
+                    id=row["clip_id"],
+                    speaker=row["speaker"],
+                    split=row["split"],
+                    source=row["source"],
+                    start=float(row["start"]),
+                    n_frames=int(row["n_frames"]),
+                )
+                for row in rows
+            ]
+            version = int(self.manifest["format"])
+        except OSError as error:
+            raise BadInput(
+                f"{path}: is no dataset ({Path(str(error.filename)).name}: {error.strerror}); "
+                "make one with angie prepare"
+            ) from error
+        except (ValueError, KeyError, TypeError) as error:
+            raise BadInput(f"{path}: the dataset is damaged; prepare it again") from error
+        if version > FORMAT:
+            raise BadInput(f"{path}: made by a newer angie (format {version}); update angie")
+
+    def clips(self, split: str | None = None, speaker: str | None = None) -> list[Clip]:
+        """Clips in order of their ids, all or those of a split and of a speaker."""
+        return [
+            clip
+            for clip in self._clips
+            if split in (None, clip.split) and speaker in (None, clip.speaker)
+        ]
+
+    def speakers(self) -> list[str]:
+        """Names of the speakers in alphabetical order."""
+        return sorted({clip.speaker for clip in self._clips})
+
+    def frames(self, clip: Clip) -> FrameStore:
+        """Frames of a clip, `(256, 256, 3)` uint8 RGB each, for reading in any order."""
+        return FrameStore(self.path / "frames" / f"{clip.id}.safetensors")
+
+    def sound(self, clip: Clip) -> np.ndarray:
+        """Sound of a clip, `(N,)` float32 mono at 16 kHz, 640 samples for each frame."""
+        return read_sound(self.path / "audio" / f"{clip.id}.wav")
+
+    def features(self, clip: Clip) -> SpeechFeatures:
+        """Speech features of a clip, not standardised.
+
+        Raises:
+            BadInput: missing or damaged.
+        """
+        path = self.path / "features" / f"{clip.id}.npz"
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                return SpeechFeatures(file["onset"], file["mfcc"], file["onset_times"])
+        except (OSError, ValueError, KeyError) as error:
+            raise BadInput(f"{path}: damaged or missing; prepare the dataset again") from error
+
+    def words(self, clip: Clip) -> list[Word] | None:
+        """Words of a clip with times from its start; None when nobody told them."""
+        path = self.path / "words" / f"{clip.id}.json"
+        return read_words(path) if path.exists() else None
