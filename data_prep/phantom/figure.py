@@ -22,6 +22,7 @@ from data_prep.phantom.torso import TILE_DENSITY, TORSO, torso
 
 HEIGHT, WIDTH = scene.HEIGHT, scene.WIDTH
 _REACH = {"long": 1.96, "rolled": 1.45, "short": 0.55}
+_LOOSE = {"blazer": 1.14, "sweater": 1.12, "shirt": 1.08}
 _GRAINS = 5
 
 
@@ -29,8 +30,8 @@ def _homogeneous(matrix: NDArray) -> NDArray:
     return np.concatenate([matrix, [[0.0, 0.0, 1.0]]])
 
 
-def _paste(frame: Array, sprite: NDArray[np.uint8], matrix: NDArray) -> None:
-    """Lay a sprite over the frame through an affine (2, 3) from sprite to frame pixels."""
+def _paste(picture: Array, sprite: NDArray[np.uint8], matrix: NDArray) -> None:
+    """Lay a sprite over the picture (3, H, W) by an affine (2, 3) from sprite to picture pixels."""
     h, w = sprite.shape[:2]
     corners = np.array([[0, 0, 1], [w, 0, 1], [0, h, 1], [w, h, 1]]) @ matrix.T
     where = limbs.region(corners, 1, HEIGHT, WIDTH)
@@ -39,9 +40,16 @@ def _paste(frame: Array, sprite: NDArray[np.uint8], matrix: NDArray) -> None:
     moved = matrix.copy()
     moved[:, 2] -= (where.columns.start, where.rows.start)
     size = (where.x.shape[1], len(where.y))
-    image = cv2.warpAffine(sprite, moved, size, flags=cv2.INTER_LINEAR).astype(np.float32)
-    view = frame[where.rows, where.columns]
-    view += (image[..., :3] - view) * (image[..., 3:] * (1 / 255))
+    *colours, alpha = cv2.split(cv2.warpAffine(sprite, moved, size, flags=cv2.INTER_LINEAR))
+    mask = alpha * np.float32(1 / 255)
+    for plane, colour in zip(picture, colours, strict=True):
+        view = plane[where.rows, where.columns]
+        view += (colour - view) * mask
+
+
+def planar(image: Array) -> Array:
+    """An image (H, W, 3) as contiguous planes (3, H, W)."""
+    return np.ascontiguousarray(image.transpose(2, 0, 1), np.float32)
 
 
 def _premask(sprite: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -77,11 +85,11 @@ class Figure:
         self.head = Head(who.look, place, rng)
         self.back = _premask(self.head.back) if self.head.back.any() else None
         lens = scene.lens(place, rng)
-        self.lens = lens
-        self.ground = scene.background(place, rng) * 255
-        self.desk = scene.desk(place, rng) * 255 if place.seated else None
+        self.lens = planar(lens)
+        self.ground = planar(scene.background(place, rng) * 255)
+        self.desk = planar(scene.desk(place, rng) * 255) if place.seated else None
         self.grain = [
-            (rng.standard_normal((HEIGHT, WIDTH, 1)) * place.grain).astype(np.float32)
+            (rng.standard_normal((HEIGHT, WIDTH)) * place.grain).astype(np.float32)
             for _ in range(_GRAINS)
         ]
         self.joints: Joints = joints(course, who.look, place, WIDTH)
@@ -90,6 +98,8 @@ class Figure:
         dome = np.sqrt(np.maximum(0, 1 - (x / 44) ** 2 - ((y - 2) / 58) ** 2))
         self._dome = (dome * 30 * HEAD.density).astype(np.float32)
         self._relief = cv2.GaussianBlur(self._dome, (0, 0), 5)
+        covered = np.nonzero(self._relief.max(1) > 0.05)[0]
+        self._domed = slice(int(covered[0]), int(covered[-1]) + 1)
         self._row, self._column = np.mgrid[0 : HEAD.shape[0], 0 : HEAD.shape[1]].astype(np.float32)
 
     def _matrix(self, canvas: Canvas, transform: NDArray) -> NDArray:
@@ -105,54 +115,55 @@ class Figure:
 
     def _turned(self, sprite: NDArray[np.uint8], yaw: float, pitch: float) -> NDArray[np.uint8]:
         """The head's sprite with its middle shifted as a turned dome would be."""
-        map_x = self._column - np.float32(np.sin(yaw)) * self._relief
-        map_y = self._row - np.float32(np.sin(pitch)) * self._relief
-        return cv2.remap(sprite, map_x, map_y, cv2.INTER_LINEAR)  # type: ignore[return-value]
+        rows = self._domed
+        map_x = self._column[rows] - np.float32(np.sin(yaw)) * self._relief[rows]
+        map_y = self._row[rows] - np.float32(np.sin(pitch)) * self._relief[rows]
+        out = sprite.copy()
+        out[rows] = cv2.remap(sprite, map_x, map_y, cv2.INTER_LINEAR)
+        return out
 
-    def _arm(self, frame: Array, t: int, hand: int) -> None:
-        look, place = self.who.look, self.place
-        points = self.joints.points[t, 4 + 4 * hand : 8 + 4 * hand]
-        depth = self.joints.depth[t, 4 + 4 * hand : 8 + 4 * hand] * place.zoom
-        girth = look.girth
-        radii = (20.5 * girth * depth[0], 15.5 * girth * depth[1], 10.0 * girth * depth[2])
+    def _arm(self, picture: Array, t: int, side: int) -> None:
+        look, place, course = self.who.look, self.place, self.course
+        own = slice(4 + 4 * side, 8 + 4 * side)
+        points = self.joints.points[t, own]
+        depth = self.joints.depth[t, own] * place.zoom
         offset = (-18 * place.light[0], 8 - 6 * place.light[1])
-        limbs.shadow(frame, points[:3], 17 * girth, offset, 0.34)
-        limbs.shadow(frame, points[2:], 16, offset, 0.30)
-        loose = {"blazer": 1.12, "sweater": 1.12, "shirt": 1.08}.get(place.garment, 1.05)
-        skin = tuple(255 * c for c in look.skin)
+        limbs.shadow(picture, points, 17 * look.girth, offset, 0.34)
+        radii = np.array([17.5, 15.0, 9.6], np.float32) * look.girth * depth[:3]
+        skin = (255 * look.skin[0], 255 * look.skin[1], 255 * look.skin[2])
+        loose = _LOOSE.get(place.garment, 1.05)
         sleeve = limbs.Sleeve(self.tile, TILE_DENSITY, _REACH[place.sleeve], skin, loose)
-        lengths = (float(self.joints.sleeve[t, hand, 0]), float(self.joints.sleeve[t, hand, 1]))
-        course = self.course
-        limbs.hand(
-            frame,
-            points[2],
-            float(course.angle[t, hand]),
-            float(depth[2]) * (0.94 + 0.06 * girth),
-            course.shape[t, hand],
-            float(course.turn[t, hand] * -SIDES[hand]),
-            float(course.fore[t, hand]),
-            skin,
-            place.light,
+        limbs.arm(picture, points[:3], self.joints.sleeve[t, side], radii, sleeve, place.light)
+        hand = limbs.Hand(
+            wrist=points[2],
+            angle=float(course.angle[t, side]),
+            scale=float(depth[2]) * (0.96 + 0.1 * look.girth),
+            shape=course.shape[t, side],
+            turn=float(course.turn[t, side] * -SIDES[side]),
+            fore=float(course.fore[t, side]),
         )
-        limbs.arm(frame, points[:3], lengths, radii, sleeve, place.light)
+        limbs.draw_hand(picture, hand, skin, place.light)
 
     def frame(self, t: int) -> NDArray[np.uint8]:
         """Picture t of the course, (HEIGHT, WIDTH, 3) uint8 RGB."""
-        canvas = self.ground.copy()
+        picture = self.ground.copy()
         head = self._matrix(HEAD, self._head[t])
         if self.back is not None:
-            _paste(canvas, self.back, head)
-        _paste(canvas, self.torso, self._matrix(TORSO, self._body[t]))
+            _paste(picture, self.back, head)
+        _paste(picture, self.torso, self._matrix(TORSO, self._body[t]))
         yaw, pitch = float(self.course.head[t, 0]), float(self.course.head[t, 1])
         closed, lift, gap, width = (float(v) for v in self.course.face[t])
         sprite = self.head.sprite(closed, lift, gap, width)
-        _paste(canvas, self._turned(sprite, yaw, pitch), head)
+        _paste(picture, self._turned(sprite, yaw, pitch), head)
         if self.desk is not None:
-            canvas[scene.DESK_ROW :] = self.desk
-        for hand in (1, 0) if self.who.style.right_hand >= 0.5 else (0, 1):
-            self._arm(canvas, t, hand)
-        canvas *= self.lens
-        if self.place.blur > 0.3:
-            canvas = cv2.GaussianBlur(canvas, (0, 0), self.place.blur)  # type: ignore[assignment]
-        canvas += self.grain[t % _GRAINS]
-        return np.clip(canvas + 0.5, 0, 255).astype(np.uint8)
+            picture[:, scene.DESK_ROW :] = self.desk
+        for side in (1, 0) if self.who.style.right_hand >= 0.5 else (0, 1):
+            self._arm(picture, t, side)
+        return self._developed(picture, t)
+
+    def _developed(self, picture: Array, t: int) -> NDArray[np.uint8]:
+        """The picture (3, H, W) through lens and sensor, (H, W, 3) uint8."""
+        picture *= self.lens
+        picture += self.grain[t % _GRAINS]
+        whole = cv2.merge([cv2.convertScaleAbs(plane) for plane in picture])
+        return cv2.GaussianBlur(whole, (3, 3), self.place.blur)  # type: ignore[return-value]

@@ -7,6 +7,7 @@ degrees in the same frame: 0 points outwards, -90 up, -180 inwards, -270 down.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data_prep.phantom.presenters import Style
 from data_prep.phantom.script import TRIGGERS
@@ -30,7 +31,7 @@ class Template:
     other: tuple[Place, Place] | None = None  # of the second hand, when it differs
 
 
-REST = Template((37, 152, 62), (37, 152, 62), "relaxed", (-206, -206), 0.7, 0.9)
+REST = Template((37, 152, 62), (37, 152, 62), "relaxed", (-206, -206), -0.7, 0.9)
 """Hands folded before the waist or on the desk."""
 
 TEMPLATES: dict[str, Template] = {
@@ -118,6 +119,32 @@ def _stroke_time(template: Template, style: Style) -> float:
     return float(np.clip((0.17 + 0.0016 * path) / style.quickness, 0.18, 0.42))
 
 
+def _snapped(time: float, low: float, high: float, nuclei: NDArray) -> float:
+    """The syllable nearest to `time` within [low, high], else `time` held to that range."""
+    near = nuclei[(nuclei >= low) & (nuclei <= high)]
+    if len(near):
+        return float(near[np.argmin(np.abs(near - time))])
+    return float(min(max(time, low), max(low, high)))
+
+
+def _placed(
+    template: Template, beat: float, free: float, start: float, nuclei: NDArray, style: Style,
+    rng: np.random.Generator,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Onset, end of preparation and end of a stroke whose apex is at `beat`.
+
+    All three fall on syllables where there is one in reach, since movement is phrased with speech.
+    """
+    drive = _stroke_time(template, style)
+    ready = float(rng.uniform(0.36, 0.48)) / style.quickness
+    earliest = min(max(free, start - 0.4), beat - 0.26)
+    onset = _snapped(beat - drive - ready, earliest, beat - _SHORTEST, nuclei)
+    onset = min(onset, beat - 0.26)
+    prepared = _snapped(beat - drive, onset + 0.13, beat - 0.13, nuclei)
+    end = _snapped(beat + RECOIL, beat + 0.14, beat + 0.36, nuclei)
+    return onset, prepared, end
+
+
 def schedule(speech: Speech, style: Style, rng: np.random.Generator) -> list[Stroke]:
     """Strokes in order of time, each with its apex on a stressed syllable.
 
@@ -132,13 +159,14 @@ def schedule(speech: Speech, style: Style, rng: np.random.Generator) -> list[Str
     targets = [(word.beats[0], i, TRIGGERS.get(word.word))
                for i, word in enumerate(speech.words) if word.beats]  # fmt: skip
     strokes: list[Stroke] = []
+    nuclei = speech.nuclei
     for position, (beat, index, label) in enumerate(targets):
         free = strokes[-1].end if strokes else 0.1
         start, _ = speech.phrases[speech.words[index].phrase]
         ahead = targets[position + 1 :]
         called_next = next((b for b, _, name in ahead if name), np.inf)
         if label is None:
-            busy = called_next - beat < 0.75 or beat - free < 0.42
+            busy = called_next - beat < 0.75 or beat - max(free, start - 0.3) < 0.5
             if busy or rng.random() > style.tempo:
                 continue
             label, called = _choice(style, rng), False
@@ -148,13 +176,7 @@ def schedule(speech: Speech, style: Style, rng: np.random.Generator) -> list[Str
                 strokes.pop()
             free = strokes[-1].end if strokes else 0.1
         template = TEMPLATES[label]
-        drive = _stroke_time(template, style)
-        ready = float(rng.uniform(0.36, 0.48)) / style.quickness
-        onset = max(free, beat - drive - ready, min(start - 0.4, beat - _SHORTEST))
-        onset = min(onset, beat - 0.2)
-        drive = min(drive, 0.5 * (beat - onset))
-        strokes.append(
-            Stroke(label, _hands(template, style, rng), onset, beat - drive, beat, beat + RECOIL,
-                   index, called)
-        )  # fmt: skip
+        onset, prepared, end = _placed(template, beat, free, start, nuclei, style, rng)
+        hands = _hands(template, style, rng)
+        strokes.append(Stroke(label, hands, onset, prepared, beat, end, index, called))
     return strokes

@@ -1,4 +1,7 @@
-"""Arms and hands, drawn anew in every frame as shaded tapered capsules with cloth or skin."""
+"""Arms and hands, drawn anew in every frame as shaded tapered capsules with cloth or skin.
+
+Pictures here are planar, (3, H, W) float32 in [0, 255], and change in place.
+"""
 
 from dataclasses import dataclass
 
@@ -33,16 +36,16 @@ _SPLAY = np.array([0.0, 0.17, 0.03, -0.11, -0.27], np.float32)
 
 @dataclass(frozen=True)
 class Region:
-    """A rectangle of the frame with its pixel grid."""
+    """A rectangle of the picture with the coordinates of its pixels."""
 
     rows: slice
     columns: slice
-    x: Array
-    y: Array
+    x: Array  # (1, w)
+    y: Array  # (h, 1)
 
 
 def region(points: NDArray, margin: float, height: int, width: int) -> Region | None:
-    """The part of the frame within `margin` pixels of the points (n, 2), None when outside."""
+    """The part of the picture within `margin` pixels of the points (n, 2), None when outside."""
     low = np.floor(points.min(0) - margin).astype(int)
     high = np.ceil(points.max(0) + margin).astype(int) + 1
     x0, y0 = max(low[0], 0), max(low[1], 0)
@@ -56,208 +59,249 @@ def region(points: NDArray, margin: float, height: int, width: int) -> Region | 
 
 @dataclass(frozen=True)
 class Capsule:
-    """Where each pixel lies on a capsule: arrays (..., H, W)."""
+    """Where pixels lie on tapered capsules; every array has the shape (capsules, *pixels)."""
 
     distance: Array  # signed, pixels, negative inside
-    along: Array  # 0 at the first end, 1 at the second
+    along: Array  # 0 at the first end, 1 at the second, beyond in the caps
     nx: Array  # normal
     ny: Array
     across: Array  # signed share of the radius
 
 
+def _column(values: NDArray, axes: int) -> Array:
+    flat = np.asarray(values, np.float32)
+    return flat.reshape(flat.shape + (1,) * axes)
+
+
 def capsule(x: Array, y: Array, a: NDArray, b: NDArray, ra: NDArray, rb: NDArray) -> Capsule:
-    """Tapered capsules from a to b, (..., 2), with radii ra and rb, (...,)."""
-    a, b = (
-        np.asarray(a, np.float32)[..., None, None, :],
-        np.asarray(b, np.float32)[..., None, None, :],
-    )
-    ra = np.asarray(ra, np.float32)[..., None, None]
-    rb = np.asarray(rb, np.float32)[..., None, None]
-    dx, dy = b[..., 0] - a[..., 0], b[..., 1] - a[..., 1]
-    square = np.maximum(dx * dx + dy * dy, 1e-3)
-    px, py = x - a[..., 0], y - a[..., 1]
-    along = np.clip((px * dx + py * dy) / square, 0, 1)
-    ox, oy = px - along * dx, py - along * dy
+    """Capsules from a to b, (n, 2), with radii ra and rb, (n,), at pixels x, y of any shape."""
+    axes = np.broadcast(x, y).ndim
+    ax, ay = _column(a[:, 0], axes), _column(a[:, 1], axes)
+    dx, dy = _column(b[:, 0] - a[:, 0], axes), _column(b[:, 1] - a[:, 1], axes)
+    ra, slope = _column(ra, axes), _column(rb - ra, axes)
+    square = np.maximum(dx * dx + dy * dy, np.float32(1e-3))
+    px, py = x - ax, y - ay
+    along = (px * dx + py * dy) / square
+    held = np.minimum(np.maximum(along, 0), 1)
+    ox, oy = px - held * dx, py - held * dy
     reach = np.sqrt(ox * ox + oy * oy)
-    radius = ra + along * (rb - ra)
-    across = (oy * dx - ox * dy) / (np.sqrt(square) * radius)
-    return Capsule(reach - radius, along, ox / radius, oy / radius, across)
+    radius = ra + held * slope
+    share = 1 / radius
+    across = (py * dx - px * dy) * share / np.sqrt(square)
+    return Capsule(reach - radius, along, ox * share, oy * share, across)
 
 
 def shading(nx: Array, ny: Array, light: tuple[float, float, float], ambient: float) -> Array:
-    """Light on a rounded surface with normals (nx, ny), about 1 facing the viewer."""
-    nz = np.sqrt(np.maximum(1 - nx * nx - ny * ny, 0.02))
-    facing = np.maximum(nx * light[0] + ny * light[1] + nz * light[2], 0)
-    return ambient + (1 - ambient) * facing / light[2]
+    """Light on a rounded surface with normals (nx, ny), about 1 where it faces the viewer."""
+    flat = nx * nx + ny * ny
+    nz = np.sqrt(np.maximum(1 - flat, np.float32(0.02)))
+    shrink = 1 / np.sqrt(np.maximum(flat, 1))
+    gain = np.float32((1 - ambient) / light[2])
+    facing = (nx * np.float32(light[0]) + ny * np.float32(light[1])) * shrink
+    return np.float32(ambient) + gain * np.maximum(facing + nz * np.float32(light[2]), 0)
 
 
-def blend(frame: Array, where: Region, colour: Array, mask: Array) -> None:
-    """Lay `colour` (h, w, 3) over the region of the frame where `mask` (h, w) says."""
-    view = frame[where.rows, where.columns]
-    view += (colour - view) * mask[..., None]
+_WARM = (0.18, 0.0, -0.1)
+"""How much redder skin is in half shadow, by channel."""
+
+
+def skin_colour(skin: tuple[float, float, float], tone: Array) -> Array:
+    """Skin (3, *shape) under the light `tone`; shadows are redder."""
+    half = tone * (1 - tone)
+    return np.stack(
+        [np.float32(c) * (tone + np.float32(w) * half) for c, w in zip(skin, _WARM, strict=True)]
+    )
 
 
 def shadow(
-    frame: Array, points: NDArray, radius: float, offset: tuple[float, float], depth: float
+    picture: Array, points: NDArray, radius: float, offset: tuple[float, float], depth: float
 ) -> None:
     """Soft shadow of a limb along the points (n, 2) on what lies behind it."""
     moved = points + np.asarray(offset, np.float32)
-    height, width = frame.shape[:2]
-    where = region(moved, radius * 2.6, height, width)
+    where = region(moved, radius * 2.2, *picture.shape[1:])
     if where is None:
         return
     corner = np.array([where.columns.start, where.rows.start], np.float32)
     rows, columns = len(where.y), where.x.shape[1]
-    small = np.zeros((rows // 2 + 1, columns // 2 + 1), np.float32)
-    fixed = np.round((moved - corner) / 2 * 16).astype(np.int32)
-    cv2.polylines(small, [fixed], False, (depth,), max(1, round(radius)), cv2.LINE_AA, 4)
-    small = cv2.GaussianBlur(small, (0, 0), radius * 0.32)
-    mask = cv2.resize(small, (columns, rows))
-    frame[where.rows, where.columns] *= (1 - mask)[..., None]
+    small = np.zeros((rows // 4 + 1, columns // 4 + 1), np.float32)
+    fixed = np.round((moved - corner) / 4 * 16).astype(np.int32)
+    cv2.polylines(small, [fixed], False, (depth,), max(1, round(radius / 2)), cv2.LINE_AA, 4)
+    small = cv2.GaussianBlur(small, (0, 0), radius * 0.09)
+    full = cv2.resize(1 - small, (4 * small.shape[1], 4 * small.shape[0]))
+    picture[:, where.rows, where.columns] *= full[:rows, :columns]
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """The pixels that a set of capsules can touch."""
+
+    x: Array  # (n,)
+    y: Array
+    flat: NDArray[np.intp]  # (n,) indices into a plane of the picture
+
+    def lay(self, picture: Array, colour: Array, mask: Array) -> None:
+        """Lay colours (3, n) over the picture (3, H, W) where `mask` (n,) says."""
+        plane = picture.reshape(3, -1)
+        below = plane[:, self.flat]
+        plane[:, self.flat] = below + (colour - below) * mask
+
+
+def _touched(picture: Array, a: NDArray, b: NDArray, radii: NDArray) -> Pixels | None:
+    """Pixels within the capsules from a to b, (n, 2), of radii (n, 2), and two pixels around."""
+    where = region(np.concatenate([a, b]), float(radii.max()) + 2, *picture.shape[1:])
+    if where is None:
+        return None
+    corner = np.array([where.columns.start, where.rows.start], np.float32)
+    mask = np.zeros((len(where.y), where.x.shape[1]), np.uint8)
+    lines = np.round((np.stack([a, b], 1) - corner) * 16).astype(np.int32)
+    for line, radius in zip(lines, radii.max(1), strict=True):
+        start, end = (int(line[0, 0]), int(line[0, 1])), (int(line[1, 0]), int(line[1, 1]))
+        cv2.line(mask, start, end, (1,), int(2 * radius) + 5, cv2.LINE_8, 4)
+    rows, columns = np.nonzero(mask)
+    flat = (rows + where.rows.start) * picture.shape[2] + columns + where.columns.start
+    return Pixels(where.x[0, columns], where.y[rows, 0], flat)
 
 
 @dataclass(frozen=True)
 class Sleeve:
     """Cloth and skin of an arm."""
 
-    tile: Array
+    tile: Array  # (TILE, TILE, 3) in [0, 255]
     density: float  # tile pixels a unit
     reach: float  # where the sleeve ends: 0 shoulder, 1 elbow, 2 wrist
     skin: tuple[float, float, float]
-    loose: float  # sleeve radius over arm radius
+    loose: float  # radius of the sleeve over that of the arm
+
+
+def _arm_colour(
+    parts: Capsule, lower: Array, lengths: NDArray, girth: float, sleeve: Sleeve,
+    light: tuple[float, float, float],
+) -> Array:  # fmt: skip
+    """Colours (3, n) of n pixels of an arm; `lower` (n,) is the share of the forearm in each."""
+    tone2 = shading(parts.nx, parts.ny, light, 0.42)
+    tone = tone2[0] + (tone2[1] - tone2[0]) * lower
+    front = lower > 0.5
+    across = np.where(front, parts.across[1], parts.across[0])
+    along = np.where(front, parts.along[1], parts.along[0])
+    place = along + front
+    run = np.where(front, lengths[0] + along * lengths[1], along * lengths[0])
+    contact = np.maximum(parts.distance[1], 0) + 60 * np.maximum(0, parts.along[0] - 0.8)
+    tone = tone * (1 - np.float32(0.22) * np.exp(contact * np.float32(-0.16)) * (1 - lower))
+    around = np.arcsin(np.minimum(np.maximum(across, -1), 1)) * np.float32(girth * 1.1)
+    wool = sample(sleeve.tile, (around * sleeve.density + 40)[None], (run * sleeve.density)[None])
+    dressed = np.minimum(np.maximum((sleeve.reach - place) * 30 + 0.5, 0), 1).astype(np.float32)
+    bare = skin_colour(sleeve.skin, tone)
+    colour = bare + (wool[0].T * tone - bare) * dressed
+    return colour * (1 - np.float32(0.35) * np.exp(-(((place - sleeve.reach) / 0.03) ** 2)))
 
 
 def arm(
-    frame: Array,
+    picture: Array,
     joints: NDArray,
-    lengths: tuple[float, float],
-    radii: tuple[float, float, float],
+    lengths: NDArray,
+    radii: NDArray,
     sleeve: Sleeve,
     light: tuple[float, float, float],
 ) -> None:
-    """Draw upper arm and forearm.
+    """Draw upper arm and forearm; the forearm lies before the upper arm.
 
     Args:
-        frame: (H, W, 3) float32, changed in place.
+        picture: (3, H, W), changed in place.
         joints: shoulder, elbow and wrist, (3, 2) pixels.
-        lengths: of upper arm and forearm in units, for the texture.
-        radii: at shoulder, elbow and wrist, pixels.
+        lengths: of upper arm and forearm in units, (2,), for the texture.
+        radii: at shoulder, elbow and wrist, (3,) pixels.
         sleeve: what covers the arm.
         light: direction towards the light.
     """
-    where = region(joints, max(radii) * sleeve.loose + 3, *frame.shape[:2])
-    if where is None:
+    worn = radii * np.where(np.arange(3) < sleeve.reach + 0.2, sleeve.loose, 1.0)
+    worn = worn.astype(np.float32)
+    pixels = _touched(picture, joints[:2], joints[1:], np.stack([worn[:2], worn[1:]], 1))
+    if pixels is None:
         return
-    r = np.asarray(radii, np.float32)
-    both = capsule(where.x, where.y, joints[:2], joints[1:], r[:2], r[1:])
-    place = np.stack([both.along[0], 1 + both.along[1]])
-    edge = np.clip((sleeve.reach - place) * 26, 0, 1)
-    swell = (sleeve.loose - 1) * r.mean() * edge
-    distance = both.distance - swell
-    mix = np.clip(0.5 + 0.5 * (distance[0] - distance[1]) / 7.0, 0, 1)
-    joined = distance[0] + (distance[1] - distance[0]) * mix - 7.0 * mix * (1 - mix)
-    pick = lambda pair: pair[0] + (pair[1] - pair[0]) * mix  # noqa: E731
-    nx, ny, across = pick(both.nx), pick(both.ny), pick(both.across)
-    limit = np.maximum(np.hypot(nx, ny), 1.0)
-    tone = shading(nx / limit, ny / limit, light, 0.42)
-    bend = np.exp(-(((place[0] - 1) / 0.22) ** 2)) * np.clip(across, -1, 1)
-    tone = tone * (1 - 0.10 * np.abs(bend)) * (1 - 0.16 * np.exp(-(((pick(place)) / 0.12) ** 2)))
-    u = np.arcsin(np.clip(across, -1, 1)) * r.mean() * sleeve.density * 1.1
-    run = np.where(mix < 0.5, both.along[0] * lengths[0], lengths[0] + both.along[1] * lengths[1])
-    wool = sample(sleeve.tile, u + 40, run * sleeve.density)
-    dressed = np.clip((sleeve.reach - pick(place)) * 30 + 0.5, 0, 1)
-    cuff = 1 - 0.35 * np.exp(-(((pick(place) - sleeve.reach) / 0.03) ** 2))
-    bare = np.asarray(sleeve.skin, np.float32) * tone[..., None] ** np.array([0.8, 1, 1.12])
-    colour = bare + (wool * tone[..., None] - bare) * dressed[..., None]
-    blend(frame, where, (colour * cuff[..., None]).astype(np.float32), np.clip(0.5 - joined, 0, 1))
+    parts = capsule(pixels.x, pixels.y, joints[:2], joints[1:], worn[:2], worn[1:])
+    soft = np.float32(0.7) + 7 * np.maximum(0, 1 - np.abs(parts.along[1]) * 3)
+    lower = np.minimum(np.maximum(0.5 - parts.distance[1] / soft, 0), 1)
+    lower = np.where(parts.distance[0] > 0, 1, lower) * (parts.distance[1] < 0.6)
+    colour = _arm_colour(parts, lower, lengths, float(worn.mean()), sleeve, light)
+    edge = np.minimum(np.maximum(0.5 - parts.distance.min(0), 0), 1)
+    seam = (parts.along[0] * lengths[0] + 15) / 14
+    edge = edge * np.maximum(lower, np.minimum(np.maximum(seam, 0), 1))
+    pixels.lay(picture, colour, edge)
 
 
-def _fingers(curl: NDArray, spread: float, turn: float) -> tuple[Array, Array, Array]:
-    """Points (15, 2) of three joints a finger in the hand's frame, heights and radii (5,)."""
-    side = np.where(turn >= 0, 1.0, -1.0) * (0.42 + 0.58 * abs(turn))
+def _fingers(curl: NDArray, spread: float, side: float) -> Array:
+    """Joints (5, 3, 2) of the fingers in the hand's frame: along the hand, across it."""
     base = _BASE * np.array([1.0, side], np.float32)
     splay = _SPLAY * (0.35 + spread)
     splay[0] = 0.95 - 0.55 * curl[0]
     splay = splay * side
-    first, second = curl * 1.35, curl * 1.35 + curl * 1.75
+    first, second = curl * 1.35, curl * 3.1
     span = np.stack([0.55 * np.cos(first), 0.45 * np.cos(second)], 1) * _LENGTH[:, None]
     direction = np.stack([np.cos(splay), np.sin(splay)], 1)
     middle = base + direction * span[:, :1]
     tip = middle + direction * span[:, 1:]
-    return np.concatenate([base, middle, tip], 1).reshape(5, 3, 2).astype(np.float32), first, side
+    return np.stack([base, middle, tip], 1).astype(np.float32)
 
 
-def hand(
-    frame: Array,
-    wrist: NDArray,
-    angle: float,
-    scale: float,
-    shape: NDArray,
-    turn: float,
-    fore: float,
+def _bones(shape: NDArray, turn: float, fore: float) -> tuple[Array, Array, Array]:
+    """Starts (13, 2), ends (13, 2) and radii (13, 2): three of the palm, two a finger."""
+    side = float(np.sign(turn)) * abs(turn) ** 0.6
+    fingers = _fingers(shape[:5], float(shape[5]), side)[::-1]
+    starts = np.array([(0, 0), (7, 4 * side), (7, -4 * side)], np.float32)
+    ends = np.array([(28, 0.6 * side), (27, 8 * side), (27, -6.5 * side)], np.float32)
+    starts = np.concatenate([starts, fingers[:, :2].reshape(-1, 2)])
+    ends = np.concatenate([ends, fingers[:, 1:].reshape(-1, 2)])
+    r = _RADIUS[::-1]
+    swell = np.array([1.04, 1.04, 1.04, 1.04, 1.25], np.float32)
+    digits = np.stack([np.stack([r * swell, r], 1), np.stack([r, r * 0.84], 1)], 1).reshape(-1, 2)
+    palm = np.array([(8.4, 9.0), (8.5, 6.6), (8.5, 6.4)], np.float32)
+    squeeze = np.array([fore, 1.0], np.float32)
+    return starts * squeeze, ends * squeeze, np.concatenate([palm, digits])
+
+
+@dataclass(frozen=True)
+class Hand:
+    """A hand in one picture."""
+
+    wrist: NDArray  # (2,) pixels
+    angle: float  # direction of the fingers, radians from x towards y
+    scale: float  # pixels a unit
+    shape: NDArray  # (6,) curls and spread, a blend of `SHAPES`
+    turn: float  # 1 thumb on the clockwise side, -1 on the other, 0 edge on
+    fore: float  # length as seen, 1 in the plane of the picture
+
+
+def draw_hand(
+    picture: Array,
+    hand: Hand,
     skin: tuple[float, float, float],
     light: tuple[float, float, float],
 ) -> None:
-    """Draw a hand.
-
-    Args:
-        frame: (H, W, 3) float32, changed in place.
-        wrist: (2,) pixels.
-        angle: direction of the fingers, radians from x towards y.
-        scale: pixels a unit.
-        shape: (6,) curls and spread, a blend of `SHAPES`.
-        turn: 1 thumb on the clockwise side, -1 on the other, 0 edge on.
-        fore: length of the hand as seen, 1 in the picture's plane.
-        skin: colour.
-        light: direction towards the light.
-    """
-    points, _, side = _fingers(shape[:5], float(shape[5]), turn)
-    knuckle = np.array([[(6, 4 * side), (27, 8 * side)], [(6, -4 * side), (27, -6.5 * side)]])
-    fan = points[:, :, :] * np.array([fore, 1.0], np.float32)
-    palm = knuckle * np.array([fore, 1.0])
-    cos, sin = np.cos(angle), np.sin(angle)
-    spin = np.array([[cos, sin], [-sin, cos]], np.float32) * scale
-    fan, palm = fan @ spin + wrist, palm @ spin + wrist
-    where = region(
-        np.concatenate([fan.reshape(-1, 2), palm.reshape(-1, 2), wrist[None]]),
-        10 * scale,
-        *frame.shape[:2],
-    )
-    if where is None:
+    """Draw a hand: palm first, then the fingers from the little one to the thumb."""
+    starts, ends, radii = _bones(hand.shape, hand.turn, hand.fore)
+    cos, sin = np.cos(hand.angle), np.sin(hand.angle)
+    spin = (np.array([[cos, sin], [-sin, cos]]) * hand.scale).astype(np.float32)
+    starts, ends = starts @ spin + hand.wrist, ends @ spin + hand.wrist
+    radii = radii * np.float32(hand.scale)
+    pixels = _touched(picture, starts, ends, radii)
+    if pixels is None:
         return
-    order = [4, 3, 2, 1, 0] if turn >= 0 else [4, 3, 2, 1, 0]
-    root = wrist + (np.array([0.0, 0.0]) @ spin)
-    starts = [root, palm[0, 0], palm[1, 0]]
-    ends = [(palm[0, 1] + palm[1, 1]) / 2, palm[0, 1], palm[1, 1]]
-    radii = [(8.6, 9.0), (8.5, 6.6), (8.5, 6.4)]
-    for finger in order:
-        starts += [fan[finger, 0], fan[finger, 1]]
-        ends += [fan[finger, 1], fan[finger, 2]]
-        r = _RADIUS[finger]
-        radii += [(r * (1.25 if finger == 0 else 1.04), r), (r, r * 0.84)]
-    sizes = np.asarray(radii, np.float32) * scale
-    pieces = capsule(where.x, where.y, np.stack(starts), np.stack(ends), sizes[:, 0], sizes[:, 1])
-    limit = np.maximum(np.hypot(pieces.nx, pieces.ny), 1.0)
-    tone = shading(pieces.nx / limit, pieces.ny / limit, light, 0.5)
-    masks = np.clip(0.5 - pieces.distance, 0, 1)
-    palm_distance = pieces.distance[:3].min(0)
-    palm_tone = tone[0] + 0.0 * palm_distance
-    inner = np.clip(-palm_distance / (7 * scale), 0, 1)
-    palm_tone = 0.70 + 0.30 * inner + 0.25 * (tone[:3].max(0) - 1) * (1 - inner)
-    canvas_tone = palm_tone
-    cover = np.clip(0.5 - palm_distance, 0, 1)
-    for index in range(3, len(masks), 2):
-        pair = np.maximum(masks[index], masks[index + 1])
-        finger_tone = np.where(
-            pieces.distance[index + 1] < pieces.distance[index], tone[index + 1], tone[index]
-        )
-        halo = np.clip(
-            1 - np.minimum(pieces.distance[index], pieces.distance[index + 1]) / (2.2 * scale), 0, 1
-        )
-        canvas_tone = canvas_tone * (1 - 0.20 * halo)
-        canvas_tone = canvas_tone + (finger_tone * 0.99 - canvas_tone) * pair
-        cover = np.maximum(cover, pair)
-    colour = np.asarray(skin, np.float32) * np.maximum(canvas_tone, 0.1)[..., None] ** np.array(
-        [0.8, 1, 1.12]
-    )
-    blend(frame, where, colour.astype(np.float32), cover)
+    parts = capsule(pixels.x, pixels.y, starts, ends, radii[:, 0], radii[:, 1])
+    palm = parts.distance[:3].min(0)
+    near = palm.copy()
+    inner = np.minimum(np.maximum(palm * np.float32(-1 / (7 * hand.scale)), 0), 1)
+    light_palm = shading(parts.nx[:1], parts.ny[:1], light, 0.5)[0]
+    tone = np.float32(0.66) + np.float32(0.32) * inner + np.float32(0.3) * (light_palm - 1)
+    for index in range(3, len(starts), 2):
+        root, tip = parts.distance[index], parts.distance[index + 1]
+        distance = np.minimum(root, tip)
+        first = root < tip
+        nx = np.where(first, parts.nx[index], parts.nx[index + 1])
+        ny = np.where(first, parts.ny[index], parts.ny[index + 1])
+        halo = np.maximum(1 - np.maximum(distance, 0) * np.float32(0.45 / hand.scale), 0)
+        tone = tone * (1 - np.float32(0.22) * halo)
+        inside = np.minimum(np.maximum(0.5 - distance, 0), 1)
+        tone = tone + (shading(nx, ny, light, 0.5) - tone) * inside
+        near = np.minimum(near, distance)
+    cover = np.minimum(np.maximum(0.5 - near, 0), 1)
+    pixels.lay(picture, skin_colour(skin, tone), cover)

@@ -97,7 +97,7 @@ def _course_of_hand(
         path.to(stroke.end, apex + 0.13 * (prep - apex))
         after = mine[number + 1].onset if number + 1 < len(mine) else np.inf
         phrase_end = ends[speech.words[stroke.word].phrase]
-        leave = max(stroke.end, min(phrase_end + 0.1, stroke.end + 1.4))
+        leave = max(stroke.end, min(phrase_end, stroke.end + 1.4))
         if after - leave > _HOLD:
             path.wait(leave)
             path.to(leave + _RETURN, rest)
@@ -105,6 +105,48 @@ def _course_of_hand(
     if len(path.times) < 2:
         path.to(speech.duration + 2.0, rest)
     return path
+
+
+def _keyed(at: NDArray, times: list[float], values: list[float]) -> NDArray:
+    """Values (n,) at times (n,) of minimum-jerk moves from key to key, at rest in every key."""
+    t, v = np.array(times), np.array(values)
+    index = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+    share = (at - t[index]) / (t[index + 1] - t[index])
+    return v[index] + (v[index + 1] - v[index]) * minimum_jerk(share)
+
+
+def _rhythm(
+    at: NDArray, speech: Speech, accents: NDArray, pauses: list[tuple[float, float]]
+) -> NDArray:
+    """Rhythmic movement (n,) that comes to rest on every syllable, zero when nothing is said.
+
+    Stressed syllables pull it to their accent (about 1, downwards), the others a little back and
+    forth, so that its speed has a minimum on each syllable and none between.
+
+    Args:
+        at: times.
+        speech: syllables and phrases.
+        accents: size for each stressed syllable.
+        pauses: spans of time, in order, in which there is none of this movement.
+    """
+    strong = dict(zip(speech.beats.tolist(), accents.tolist(), strict=True))
+    keys: dict[float, float] = {-1.0: 0.0, speech.duration + 9.0: 0.0}
+    for first, last in pauses:
+        keys[first] = keys[last] = 0.0
+    nuclei = speech.nuclei
+    for start, end in speech.phrases:
+        inside = nuclei[(nuclei >= start) & (nuclei <= end)].tolist()
+        keys[min(start, inside[0] - 0.12)] = keys[max(end, inside[-1] + 0.16)] = 0.0
+        value = 0.0
+        for nucleus in inside:
+            value = strong.get(nucleus, -0.35 if value > 0 else 0.25)
+            keys[nucleus] = value
+    times: list[float] = []
+    for time in sorted(keys):
+        paused = any(first < time < last for first, last in pauses)
+        if not paused and (not times or time - times[-1] > 0.02):
+            times.append(time)
+    return _keyed(at, times, [keys[time] for time in times])
 
 
 def _pulses(at: NDArray, beats: NDArray, size: NDArray, down: float, back: float) -> NDArray:
@@ -170,23 +212,21 @@ def course(speech: Speech, strokes: list[Stroke], style: Style, rng: np.random.G
     for hand in (0, 1):
         pose = _course_of_hand(hand, strokes, speech, style, rng).sample(at)
         busy = [(s.onset, s.end) for s in strokes if hand in s.hands]
-        free = np.array([not any(a - 0.05 < b < e + 0.12 for a, e in busy) for b in beats], bool)
-        raised = np.interp(beats, at, 152 - pose[:, 1]) > 20
         share = 1.0 if hand == (0 if style.right_hand >= 0.5 else 1) else 0.6
-        size = free * accents * style.bounce * share * np.where(raised, 11.0, 6.0)
-        bounce = _pulses(at, beats, size, 0.16, 0.28)
-        pose[:, 1] += bounce * np.where(raised.any(), 1.0, 1.0)
+        raised = np.clip((140 - pose[:, 1]) / 40, 0, 1)
+        reach = share * style.bounce * (6.0 + 5.0 * raised)
+        pose[:, 1] += reach * _rhythm(at, speech, accents, busy)
         hands.append(pose)
     both = np.stack(hands, 1)
     breath = np.sin(2 * np.pi * (0.27 * at + rng.random()))
-    nod = style.nod * _pulses(at, beats, accents, 0.16, 0.30)
+    nod = style.nod * _rhythm(at, speech, accents, [])
     head = np.stack([
         _wander(at, speech, 0.10, rng),
         0.10 * nod + _wander(at, speech, 0.04, rng),
         _wander(at, speech, 0.035, rng) + 0.01 * nod,
     ], 1)  # fmt: skip
     sway = np.stack([
-        _wander(at, speech, 4.0 * style.sway, rng), 0.7 * breath + 0.9 * nod,
+        _wander(at, speech, 4.0 * style.sway, rng), 0.5 * breath + 0.9 * nod,
     ], 1)  # fmt: skip
     lean = _wander(at, speech, 0.014 * style.sway, rng)
     return Course(

@@ -75,7 +75,7 @@ def _vowel(name: str, stress: int, longer: float) -> list[Segment]:
         mid = (520.0, 1450.0, 2500.0)
         targets = (tuple(0.7 * a + 0.3 * b for a, b in zip(targets[0], mid, strict=True)),)  # type: ignore[assignment]
     length = _LENGTH[name] * longer * (1.18 if stress else 0.66)
-    level = 1.0 if stress else 0.66
+    level = 1.0 if stress else 0.55
     opening = [min(1.0, (t[0] - 200) / 480) for t in targets]
     spread = [min(1.0, max(0.0, (t[1] - 800) / 1400)) for t in targets]
     if len(targets) == 1:

@@ -182,8 +182,8 @@ def setting(who: Presenter, rng: np.random.Generator) -> Setting:
         light=(float(x), float(y), float(z)),
         warmth=float(rng.uniform(-1, 1)),
         exposure=float(rng.uniform(0.88, 1.1)),
-        blur=float(rng.uniform(0.2, 0.7)),
-        grain=float(rng.uniform(0.6, 1.8)),
+        blur=float(rng.uniform(0.35, 0.7)),
+        grain=float(rng.uniform(1.0, 3.0)),
         position=float(rng.uniform(-24, 24)),
         zoom=float(rng.uniform(0.98, 1.08)),
     )

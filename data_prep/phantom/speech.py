@@ -23,6 +23,7 @@ class Word:
     word: str
     start: float
     end: float
+    nuclei: tuple[float, ...]  # onsets of its vowels
     beats: tuple[float, ...]  # onsets of its stressed vowels
     phrase: int
 
@@ -46,6 +47,11 @@ class Speech:
     def beats(self) -> NDArray[np.float64]:
         """Onsets (n,) of all stressed vowels, seconds."""
         return np.array([beat for word in self.words for beat in word.beats])
+
+    @property
+    def nuclei(self) -> NDArray[np.float64]:
+        """Onsets (m,) of all vowels, seconds."""
+        return np.array([nucleus for word in self.words for nucleus in word.nuclei])
 
     @property
     def phrases(self) -> list[tuple[float, float]]:
@@ -73,13 +79,14 @@ def _timed(
     now, words, track = _LEAD, [], []
     for number, phrase in enumerate(phrases):
         for word, parts in zip(phrase.words, _phrase_segments(phrase), strict=True):
-            start, beats = now, []
+            start, nuclei, beats = now, [], []
             for part in parts:
-                if part.nucleus and part.stress:
-                    beats.append(now)
+                if part.nucleus:
+                    nuclei.append(now)
+                    beats += [now] if part.stress else []
                 track.append((now, part))
                 now += part.duration / voice.rate
-            words.append(Word(word, start, now, tuple(beats), number))
+            words.append(Word(word, start, now, tuple(nuclei), tuple(beats), number))
         now += phrase.pause
     return words, track, now
 
@@ -161,6 +168,6 @@ def speak(phrases: list[Phrase], voice: Voice, rng: np.random.Generator) -> Spee
     )
     samples = synthesise(controls, voice, rng)
     samples *= 0.8 / max(float(np.abs(samples).max()), 1e-6)
-    samples += 0.0004 * rng.standard_normal(len(samples)).astype(np.float32)
+    samples += 0.00003 * rng.standard_normal(len(samples)).astype(np.float32)
     opening, spread = tracks["open"], tracks["spread"]
     return Speech(samples, RATE, words, opening.astype(np.float32), spread.astype(np.float32))

@@ -32,8 +32,8 @@ TILE_DENSITY = 1.7
 
 def _outline(look: Look) -> Array:
     s, g = look.shoulders, look.girth
-    half = [(0, -14), (17, -15), (28, -6), (s * 0.66, 1), (s + 2, 8), (s + 11, 22), (s + 8, 52)]
-    half += [(s - 4, 92), (66 * g, 150), (68 * g, 200), (72 * g, 252)]
+    half = [(0, -14), (17, -15), (28, -6), (s * 0.66, 1), (s + 2, 6), (s + 14, 20)]
+    half += [(s + 13, 38), (s - 1, 64), (s - 9, 96), (66 * g, 150), (68 * g, 200), (72 * g, 252)]
     return smooth(mirrored([*half, (0, 256)]))
 
 
