@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from angie.sampling import Sampling, draw
+from data_prep.features import ONSET_SIZE
 from data_prep.rates import FRAMES_PER_TOKEN
 
 BLOCKS = 3
@@ -33,7 +34,7 @@ class GPTConfig:
     """
 
     codes: int = 512
-    onset: int = 426
+    onset: int = ONSET_SIZE
     width: int = 768
     heads: int = 12
     layers: int = 12

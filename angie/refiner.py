@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from angie.overlap import cross_fade
+from data_prep.features import MFCC_COLUMNS, MFCC_ROWS
 
 WINDOW = 96
 HOP = 48
@@ -43,7 +44,7 @@ class StreamRefiner(nn.Module):
     def __init__(self, channels: int, config: RefinerConfig) -> None:
         super().__init__()
         self.sound = nn.Sequential(
-            nn.Linear(28 * 12, config.sound),
+            nn.Linear(MFCC_ROWS * MFCC_COLUMNS, config.sound),
             nn.LayerNorm(config.sound),
             nn.GELU(),
             nn.Linear(config.sound, config.sound),

@@ -15,6 +15,7 @@ from torch import Tensor
 from angie.clips import MotionClip
 from angie.motion import deltas
 from data_prep.errors import BadInput
+from data_prep.features import MFCC_COLUMNS
 
 BEAT_COLUMN = 41
 """Column of the onset features with the beat one-hot, which is never standardised."""
@@ -160,7 +161,7 @@ def measure(clips: Sequence[MotionClip]) -> MotionStatistics:
     factors = np.concatenate(poses)[:, 2 * regions :].reshape(-1, regions, 3)[..., ::2]
     diagonal_low, diagonal_high = np.quantile(factors, [0.005, 0.995], axis=0)
     onset = np.concatenate([clip.features.onset for clip in clips])
-    mfcc = np.concatenate([clip.features.mfcc.reshape(-1, 12) for clip in clips])
+    mfcc = np.concatenate([clip.features.mfcc.reshape(-1, MFCC_COLUMNS) for clip in clips])
     arrays = {
         "rest": rest,
         "delta_scale": _scale(relative, 1e-5),

@@ -99,24 +99,3 @@ class MotionWindows(Dataset[dict[str, Tensor]]):
         compute = getattr(self, f"_{part}")
         places = self.places[first:last]
         return torch.stack([compute(self.clips[index], frame) for index, frame in places])
-
-
-def hold_out(
-    clips: Sequence[MotionClip], frames: int = WINDOW, every: int = 10
-) -> tuple[list[MotionClip], list[MotionClip]]:
-    """Split clips into those to train on and those to choose the best weights by.
-
-    Every tenth clip long enough for a window is held out; of 4 to 9 clips the last; of fewer none.
-
-    Args:
-        clips: training clips.
-        frames: frames of a window.
-        every: one clip in so many is held out.
-
-    Returns:
-        (training clips, held-out clips).
-    """
-    long = [clip for clip in clips if clip.motion.frames >= frames]
-    held = long[every - 1 :: every] or (long[-1:] if len(long) >= 4 else [])
-    names = {clip.name for clip in held}
-    return [clip for clip in clips if clip.name not in names], held

@@ -26,7 +26,7 @@ CPU = RunConfig(device="cpu")
 
 
 def schedule(steps: int, rate: float = 2e-3) -> Schedule:
-    return Schedule(rate=rate, batch=16, most_steps=steps)
+    return Schedule(rate=rate, batch=8, most_steps=steps)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def held_out(clips, statistics) -> MotionWindows:
 @pytest.fixture(scope="module")
 def vq(windows, tmp_path_factory):
     folder = tmp_path_factory.mktemp("vq")
-    return train_vq(folder, windows, VQ, VQTraining(schedule(150)), run_config=CPU)
+    return train_vq(folder, windows, VQ, VQTraining(schedule(80, 3e-3)), run_config=CPU)
 
 
 def same(one: torch.nn.Module, other: torch.nn.Module) -> bool:
@@ -110,7 +110,7 @@ def test_vq_measures_the_mean_of_what_it_decodes(vq, windows):
 
 def test_gpt_hears(vq, windows, held_out, tmp_path):
     gpt = train_gpt(
-        tmp_path, vq, windows, held_out, GPT, GPTTraining(schedule(150)), run_config=CPU
+        tmp_path, vq, windows, held_out, GPT, GPTTraining(schedule(100)), run_config=CPU
     )
     coded = code_windows(vq, held_out)
     onset = coded.stack("onset", 0, len(coded))
@@ -119,7 +119,7 @@ def test_gpt_hears(vq, windows, held_out, tmp_path):
 
 
 def test_refiner_brings_patterns_nearer_to_the_truth(vq, windows, held_out, tmp_path):
-    training = RefinerTraining(schedule(100))
+    training = RefinerTraining(schedule(60, 4e-3))
     refiner = train_refiner(tmp_path, vq, windows, held_out, REFINER, training, run_config=CPU)
     patterns = pattern_windows(vq, held_out)
     assert held_out_loss(refiner, patterns) < 0.97 * held_out_loss(Refiner(REFINER), patterns)

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from angie.windows import MotionWindows, hold_out
+from angie.windows import MotionWindows
 from data_prep.errors import BadInput
 
 PARTS = ("poses", "onset", "mfcc")
@@ -48,11 +48,3 @@ def test_more_motion_than_sound_is_bad_input(make_clip):
     long, short = make_clip(100, 0), make_clip(90, 1)
     with pytest.raises(BadInput, match="ada_0: 100 frames of motion but 90"):
         type(long)(long.name, long.speaker, long.motion, short.features)
-
-
-def test_held_out_clips_are_not_trained_on(clips, make_clip):
-    kept, held = hold_out(clips)
-    assert [clip.name for clip in held] == [clips[9].name] and len(kept) == 11
-    kept, held = hold_out([make_clip(96, seed) for seed in range(5)])
-    assert [clip.name for clip in held] == ["ada_4"] and len(kept) == 4
-    assert hold_out(clips[:3]) == (clips[:3], [])
