@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 
-import librosa
 import numpy as np
 import soxr
+from scipy.fft import dct
 
-from data_prep.cepstrum import HOP, cepstra
+from data_prep.cepstrum import HOP as CEPSTRUM_HOP
+from data_prep.cepstrum import cepstra
 from data_prep.rates import (
     SAMPLE_RATE,
     SAMPLES_PER_FRAME,
@@ -14,6 +15,8 @@ from data_prep.rates import (
     frames_covering,
     tokens_covering,
 )
+from data_prep.rhythm import beats, onset_strength, onsets, tempogram
+from data_prep.spectrum import HOP, decibels, mel_power, percussive
 
 ONSET_SIZE = 426
 """Columns: MFCC 20, their deltas 20, onset strength 1, beat 1, tempogram 384."""
@@ -23,8 +26,7 @@ MFCC_ROWS = 28
 
 MFCC_COLUMNS = 12
 
-_ONSET_HOP = 512
-_ONSET_RATE = SAMPLE_RATE * _ONSET_HOP // SAMPLES_PER_TOKEN
+_ONSET_RATE = SAMPLE_RATE * HOP // SAMPLES_PER_TOKEN
 """1600 Hz, at which the usual hop of 512 gives one row a token."""
 
 _MFCCS = 20
@@ -75,7 +77,8 @@ def onset_rows(samples: np.ndarray) -> np.ndarray:
     The composition is Bailando's music feature without chroma, computed on the recording
     resampled to 1600 Hz with a hop of 512: 20 MFCC of the mel spectrogram in dB relative to its
     maximum, their deltas of width 3, the onset strength of the percussive part (median over
-    bands), its beats as a one-hot column, and its tempogram of width 384.
+    bands), its beats as a one-hot column, and its tempogram of width 384. All definitions are
+    librosa's.
 
     Args:
         samples: `(N,)` float32 mono at 16 kHz.
@@ -88,20 +91,22 @@ def onset_rows(samples: np.ndarray) -> np.ndarray:
     if len(samples) < least:
         samples = np.pad(samples, (0, least - len(samples)), mode="reflect")
     slow = soxr.resample(samples, SAMPLE_RATE, _ONSET_RATE)
-    mel = librosa.feature.melspectrogram(y=slow, sr=_ONSET_RATE, hop_length=_ONSET_HOP)
-    mfcc = librosa.feature.mfcc(S=librosa.power_to_db(mel, ref=np.max), n_mfcc=_MFCCS)
-    delta = librosa.feature.delta(mfcc, width=3)
-    _, percussive = librosa.effects.hpss(slow)
-    strength = librosa.onset.onset_strength(y=percussive, sr=_ONSET_RATE, aggregate=np.median)
+    mel = mel_power(slow, _ONSET_RATE)
+    level = decibels(mel, float(mel.max()))
+    mfcc = dct(level, type=2, axis=1, norm="ortho")[:, :_MFCCS]
+    strength = onset_strength(percussive(slow), _ONSET_RATE, np.median)
     beat = np.zeros_like(strength)
-    with np.errstate(divide="ignore"):
-        beat[librosa.beat.beat_track(onset_envelope=strength, sr=_ONSET_RATE)[1]] = 1
-    tempogram = librosa.feature.tempogram(
-        onset_envelope=strength, sr=_ONSET_RATE, win_length=_TEMPOGRAM
-    )
-    rows = np.concatenate([mfcc, delta, strength[None], beat[None], tempogram]).T
+    beat[beats(strength, _ONSET_RATE / HOP)] = 1
+    tempo = tempogram(strength, _TEMPOGRAM)
+    rows = np.concatenate([mfcc, _delta(mfcc), strength[:, None], beat[:, None], tempo], axis=1)
     rows = rows[:tokens].astype(np.float32)
     return np.pad(rows, ((0, tokens - len(rows)), (0, 0)), mode="edge")
+
+
+def _delta(rows: np.ndarray) -> np.ndarray:
+    """Slope of a line through each row and its neighbours; the ends repeat the next one."""
+    half = (rows[2:] - rows[:-2]) / 2
+    return np.concatenate([half[:1], half, half[-1:]])
 
 
 def mfcc_windows(samples: np.ndarray) -> np.ndarray:
@@ -117,7 +122,7 @@ def mfcc_windows(samples: np.ndarray) -> np.ndarray:
         windows `(T, 28, 12)` float32.
     """
     frames = frames_covering(len(samples))
-    per_frame = SAMPLES_PER_FRAME // HOP
+    per_frame = SAMPLES_PER_FRAME // CEPSTRUM_HOP
     padded = np.pad(samples, _REACH * SAMPLES_PER_FRAME)
     rows = cepstra(padded, (frames + 2 * _REACH) * per_frame)[:, 1:].astype(np.float32)
     windows = np.lib.stride_tricks.sliding_window_view(rows, MFCC_ROWS, axis=0)[::per_frame]
@@ -125,6 +130,6 @@ def mfcc_windows(samples: np.ndarray) -> np.ndarray:
 
 
 def onset_times(samples: np.ndarray) -> np.ndarray:
-    """Onsets of sounds in seconds, `(n,)` float32: librosa's detector at 16 kHz."""
-    times = librosa.onset.onset_detect(y=samples, sr=SAMPLE_RATE, units="time")
-    return np.asarray(times, np.float32)
+    """Onsets of sounds in seconds, `(n,)` float32: librosa's detector at 16 kHz, hop 512."""
+    rate = SAMPLE_RATE / HOP
+    return (onsets(onset_strength(samples, SAMPLE_RATE), rate) / rate).astype(np.float32)

@@ -1,0 +1,104 @@
+"""Short-time spectra, mel bands and decibels, by librosa's conventions."""
+
+import functools
+
+import numpy as np
+from scipy import fft
+from scipy.ndimage import median_filter
+
+FFT = 2048
+"""Samples of one analysis window."""
+
+HOP = 512
+"""Samples from the middle of one window to the next."""
+
+BANDS = 128
+"""Mel bands from 0 Hz to the Nyquist frequency."""
+
+_BLOCK = 4096
+_AMIN = 1e-10
+_RANGE_DB = 80.0
+
+
+@functools.cache
+def hann(length: int) -> np.ndarray:
+    """Periodic Hann window `(length,)` float32."""
+    turns = np.arange(length) / length
+    return (0.5 - 0.5 * np.cos(2 * np.pi * turns)).astype(np.float32)
+
+
+def _mel(hertz: np.ndarray) -> np.ndarray:
+    """Slaney's mel scale: linear to 1 kHz, 27 steps for each factor of 6.4 above."""
+    above = 15 + 27 * np.log(np.maximum(hertz, 1000) / 1000) / np.log(6.4)
+    return np.where(hertz < 1000, hertz * 3 / 200, above)
+
+
+def _hertz(mel: np.ndarray) -> np.ndarray:
+    return np.where(mel < 15, mel * 200 / 3, 1000 * 6.4 ** ((np.maximum(mel, 15) - 15) / 27))
+
+
+@functools.cache
+def mel_filters(rate: int) -> np.ndarray:
+    """Triangles of unit area `(BANDS, FFT // 2 + 1)` float32 for a sample rate."""
+    top = _mel(np.array(rate / 2))
+    edges = _hertz(np.linspace(0, top, BANDS + 2))[:, None]
+    bins = np.linspace(0, rate / 2, FFT // 2 + 1)
+    left, centre, right = edges[:-2], edges[1:-1], edges[2:]
+    triangles = np.minimum((bins - left) / (centre - left), (right - bins) / (right - centre))
+    return (np.maximum(triangles, 0) * 2 / (right - left)).astype(np.float32)
+
+
+def _windows(samples: np.ndarray) -> np.ndarray:
+    padded = np.pad(np.asarray(samples, np.float32), FFT // 2)
+    return np.lib.stride_tricks.sliding_window_view(padded, FFT)[::HOP]
+
+
+def stft(samples: np.ndarray) -> np.ndarray:
+    """Spectra `(1 + N // HOP, FFT // 2 + 1)` complex64 of windows centred on multiples of HOP."""
+    return fft.rfft(_windows(samples) * hann(FFT), axis=1)
+
+
+def istft(spectra: np.ndarray, length: int) -> np.ndarray:
+    """Samples `(length,)` float32 whose spectra come nearest to the given ones."""
+    parts = fft.irfft(spectra, FFT, axis=1) * hann(FFT)
+    total = np.zeros(FFT + HOP * (len(parts) - 1), np.float32)
+    weight = np.zeros_like(total)
+    for i, part in enumerate(parts):
+        total[i * HOP : i * HOP + FFT] += part
+        weight[i * HOP : i * HOP + FFT] += hann(FFT) ** 2
+    covered = weight > np.finfo(np.float32).tiny
+    total[covered] /= weight[covered]
+    samples = total[FFT // 2 : FFT // 2 + length]
+    return np.pad(samples, (0, length - len(samples)))
+
+
+def mel_power(samples: np.ndarray, rate: int) -> np.ndarray:
+    """Power in mel bands, `(1 + N // HOP, BANDS)` float32."""
+    windows, filters = _windows(samples), mel_filters(rate).T
+    blocks = []
+    for start in range(0, len(windows), _BLOCK):
+        spectra = fft.rfft(windows[start : start + _BLOCK] * hann(FFT), axis=1)
+        blocks.append((spectra.real**2 + spectra.imag**2) @ filters)
+    return np.concatenate(blocks)
+
+
+def decibels(power: np.ndarray, reference: float = 1.0) -> np.ndarray:
+    """Level of power over a reference, no more than 80 dB below the highest."""
+    level = 10 * np.log10(np.maximum(power, _AMIN)) - 10 * np.log10(max(reference, _AMIN))
+    return np.maximum(level, level.max() - _RANGE_DB)
+
+
+def percussive(samples: np.ndarray) -> np.ndarray:
+    """The percussive part of sound by median filtering (Fitzgerald 2010), `(N,)` float32.
+
+    Medians over 31 windows keep what lasts, medians over 31 bins what is sudden; a soft mask
+    of their squares divides each spectrum between the two.
+    """
+    spectra = stft(samples)
+    magnitude = np.abs(spectra)
+    lasting = median_filter(magnitude, size=(31, 1), mode="reflect").astype(np.float64)
+    sudden = median_filter(magnitude, size=(1, 31), mode="reflect").astype(np.float64)
+    whole = lasting**2 + sudden**2
+    silent = np.maximum(lasting, sudden) < np.finfo(np.float32).tiny
+    share = np.where(silent, 0.5, sudden**2 / np.where(silent, 1.0, whole))
+    return istft(spectra * share.astype(np.float32), len(samples))
