@@ -148,9 +148,7 @@ def render(
     """
     source = renderer.open(picture, _regions(renderer, pose, picture.device))
     for first in range(0, motion.frames, FRAMES_AT_ONCE):
-        driving = _regions(
-            renderer, motion[first : first + FRAMES_AT_ONCE], picture.device
-        )
+        driving = _regions(renderer, motion[first : first + FRAMES_AT_ONCE], picture.device)
         yield to_pixels(renderer.draw(source, driving)).cpu().numpy()
 
 

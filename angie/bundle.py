@@ -153,9 +153,7 @@ class Bundle:
         """Hash of a part as the manifest states it."""
         return str(self.manifest["parts"][part]["sha256"])
 
-    def add(
-        self, part: str, tensors: Mapping[str, Tensor] | Path, report: dict[str, Any]
-    ) -> None:
+    def add(self, part: str, tensors: Mapping[str, Tensor] | Path, report: dict[str, Any]) -> None:
         """Put a trained part into the bundle.
 
         Args:
@@ -189,7 +187,9 @@ class Bundle:
             raise BadInput(f"{self.folder}: has no {part} yet; run angie train --stage {stage}")
         path = self.folder / entry["file"]
         if not path.is_file():
-            raise BadInput(f"{path}: missing from the bundle; copy it again or train --stage {stage}")
+            raise BadInput(
+                f"{path}: missing from the bundle; copy it again or train --stage {stage}"
+            )
         if sha256(path) != entry["sha256"]:
             raise BadInput(f"{path}: not the file that bundle.json describes (wrong hash)")
         for name in UPSTREAM[part]:

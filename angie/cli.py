@@ -122,9 +122,7 @@ def prepare(
     from data_prep.prepare import prepare as make
 
     square = None if crop is None else _square(crop)
-    summary = make(
-        videos, output, speaker=speaker, jobs=jobs or _cores(), crop=square, force=force
-    )
+    summary = make(videos, output, speaker=speaker, jobs=jobs or _cores(), crop=square, force=force)
     print(summary)
 
 
@@ -140,9 +138,7 @@ def train(
     preset: Annotated[
         Optional[str], typer.Option(help="paper, lite or tiny; lite for a new bundle.")
     ] = None,
-    stage: Annotated[
-        str, typer.Option(help="renderer, motion, vq, gpt, refiner or all.")
-    ] = "all",
+    stage: Annotated[str, typer.Option(help="renderer, motion, vq, gpt, refiner or all.")] = "all",
     resume: Annotated[bool, typer.Option("--resume", help="Go on after an interruption.")] = False,
     seed: Seed = 0,
     device: Device = "auto",

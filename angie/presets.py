@@ -68,7 +68,11 @@ def _lite() -> Preset:
         refiner=RefinerConfig(sound=96, motion=64, hidden=64),
         generation=GenerationConfig(bounding="auto"),
         train_renderer=RendererTraining(
-            batch=8, repeats=150, perceptual_width=8, augmentation=Augmentation(zoom=0.15)
+            batch=8,
+            repeats=150,
+            perceptual_width=16,
+            perceptual_scales=(0.5, 0.25, 0.125),
+            augmentation=Augmentation(zoom=0.15),
         ),
         train_vq=VQTraining(schedule=Schedule(rate=3e-4, most_steps=6000)),
         train_gpt=GPTTraining(schedule=Schedule(rate=3e-4, milestones=(250, 400), most_steps=4000)),
@@ -95,7 +99,13 @@ def _tiny() -> Preset:
         gpt=GPTConfig(width=64, heads=4, layers=2),
         refiner=RefinerConfig(regions=10, sound=32, motion=32, hidden=32, layers=1),
         generation=GenerationConfig(bounding="auto"),
-        train_renderer=RendererTraining(steps=300, batch=4, rate=1e-3, perceptual_width=8),
+        train_renderer=RendererTraining(
+            steps=300,
+            batch=4,
+            rate=1e-3,
+            perceptual_width=8,
+            perceptual_scales=(0.5, 0.25, 0.125),
+        ),
         train_vq=VQTraining(schedule=Schedule(rate=1e-3, most_steps=300)),
         train_gpt=GPTTraining(schedule=Schedule(rate=1e-3, most_steps=200), checks=10),
         train_refiner=RefinerTraining(

@@ -22,6 +22,8 @@ from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
 from data_prep.output import check_output
 from data_prep.progress import console
+from data_prep.rates import FPS
+from data_prep.speaker import FACE_DOWN, SIDE_IN_FACES
 from mraa.allocator import keep_memory
 from mraa.losses import backend_of
 from mraa.reconstruction import reconstruct
@@ -56,7 +58,7 @@ class Trainer:
             "dataset": self.dataset.path.resolve().name,
             "dataset_sha256": digest,
             "clips": len(clips),
-            "minutes": round(sum(c.n_frames for c in clips) / 25 / 60, 2),
+            "minutes": round(sum(c.n_frames for c in clips) / FPS / 60, 2),
             "seed": self.seed,
         }
 
@@ -74,7 +76,7 @@ class Trainer:
         )
         score = reconstruct(renderer, self.dataset, self.dataset.clips("test"))
         self.bundle.manifest["speakers"] = sorted({c.speaker for c in self.dataset.clips()})
-        self.bundle.manifest["crop"] = self.dataset.crop_rule
+        self.bundle.manifest["crop"] = {"side_in_faces": SIDE_IN_FACES, "face_down": FACE_DOWN}
         report = {
             **self.origin(),
             "perceptual": backend_of(preset.train_renderer.perceptual_weights),

@@ -146,7 +146,8 @@ class PerceptualPyramid(nn.Module):
     Args:
         weights: path of VGG19's state dict; empty for the fixed random network.
         width: of the random network.
-        scales: resolutions compared.
+        scales: resolutions at which deep features are compared.
+        weight: of the whole.
     """
 
     def __init__(
@@ -159,7 +160,8 @@ class PerceptualPyramid(nn.Module):
         super().__init__()
         self.backend = backend_of(weights)
         self.vgg = load_vgg19(Path(weights)) if weights else random_vgg(width)
-        self.downs = nn.ModuleList(AntiAliasDown(3, scale) for scale in scales)
+        self.downs = nn.ModuleList(AntiAliasDown(3, scale) for scale in PYRAMID_SCALES)
+        self.scales = scales
         self.weight = weight
         self.requires_grad_(False)
 
@@ -168,7 +170,11 @@ class PerceptualPyramid(nn.Module):
         total = prediction.new_zeros(())
         predictions = image_pyramid(prediction, self.downs)
         truths = image_pyramid(truth, self.downs)
-        for small, small_truth in zip(predictions, truths, strict=True):
+        for scale, small, small_truth in zip(
+            PYRAMID_SCALES, predictions, truths, strict=True
+        ):
+            if scale not in self.scales:
+                continue
             with torch.no_grad():
                 wanted = self.vgg(small_truth)
             for a, b in zip(self.vgg(small), wanted, strict=True):

@@ -238,7 +238,7 @@ class Run:
         last = self.step + 1 == self.total
         if self.fabric.global_rank or (self.step % self.config.log_every and not last):
             return
-        values = {name: float(value) for name, value in scalars.items()}
+        values = {name: float(torch.as_tensor(value).detach()) for name, value in scalars.items()}
         self._note = "  ".join(f"{name} {value:.4g}" for name, value in values.items())
         for name, value in values.items():
             self.curves.add_scalar(name, value, self.step)

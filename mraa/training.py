@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from data_prep.dataset import Dataset
-from mraa.losses import PerceptualPyramid, equivariance_of
+from mraa.losses import PYRAMID_SCALES, PerceptualPyramid, equivariance_of
 from mraa.pairs import Augmentation, FramePairs
 from mraa.renderer import Renderer, RendererConfig, from_pixels
 from mraa.run import Run, RunConfig
@@ -32,6 +32,8 @@ class RendererTraining:
     """File of VGG19's weights; empty for the fixed random network and Laplacian pyramid."""
     perceptual_width: int = 32
     """Width of the fixed random network."""
+    perceptual_scales: tuple[float, ...] = PYRAMID_SCALES
+    """Resolutions at which deep features are compared; on a CPU the full one costs most."""
     perceptual: float = 10.0
     equivariance_shift: float = 10.0
     equivariance_affine: float = 10.0
@@ -99,7 +101,10 @@ def train_renderer(
     optimizer = torch.optim.Adam(renderer.parameters(), lr=training.rate, betas=training.betas)
     objective, optimizer = run.setup(_Objective(renderer, training), optimizer)
     perceptual = PerceptualPyramid(
-        training.perceptual_weights, training.perceptual_width, weight=training.perceptual
+        training.perceptual_weights,
+        training.perceptual_width,
+        training.perceptual_scales,
+        training.perceptual,
     ).to(run.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     batches = run.batches(FramePairs(dataset, clips, training.augmentation), training.batch)
     milestones = [round(part * steps) for part in training.milestones]

@@ -1,0 +1,67 @@
+import dataclasses
+import json
+
+import pytest
+
+from angie.presets import PRESETS, Preset, override, parse_overrides, preset
+from data_prep.errors import BadInput
+
+
+def test_paper_numbers():
+    paper = preset("paper")
+    assert paper == Preset()
+    assert paper.renderer.regions == paper.vq.regions == paper.refiner.regions == 20
+    assert (paper.vq.codes, paper.vq.code_width, paper.vq.width) == (512, 512, 512)
+    assert (paper.gpt.width, paper.gpt.heads, paper.gpt.dropout) == (768, 12, 0.1)
+    assert paper.renderer.affine_mode == "svd" and paper.renderer.temperature == 0.1
+    assert paper.generation.bounding == "off" and paper.generation.sampling.method == "greedy"
+    assert not paper.generation.sampling.repeat_guard
+    assert paper.train_vq.schedule.rate == 3e-5 and paper.train_vq.commitment == 0.1
+    assert paper.train_renderer.rate == 2e-4 and paper.train_renderer.augmentation.zoom == 0
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_preset_survives_json(name):
+    stored = json.loads(json.dumps(dataclasses.asdict(preset(name))))
+    assert override(Preset(), stored) == preset(name)
+
+
+def test_overrides_from_arguments_and_yaml(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("gpt: {layers: 2, width: 64}\ntrain_vq: {schedule: {rate: 1e-3}}\n")
+    changes = parse_overrides([str(file), "gpt.layers=4", "train_renderer.betas=[0.4, 0.9]"])
+    changed = override(preset("lite"), changes)
+    assert (changed.gpt.layers, changed.gpt.width) == (4, 64)
+    assert changed.train_vq.schedule.rate == 1e-3
+    assert changed.train_renderer.betas == (0.4, 0.9)
+    assert changed.refiner == preset("lite").refiner
+
+
+def test_the_number_of_regions_reaches_every_part():
+    changed = override(preset("lite"), parse_overrides(["renderer.regions=12"]))
+    assert changed.renderer.regions == changed.vq.regions == changed.refiner.regions == 12
+    with pytest.raises(BadInput, match="disagree"):
+        override(preset("lite"), parse_overrides(["vq.regions=12"]))
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("gpt.layrs=4", "nearest is gpt.layers"),
+        ("gtp.layers=4", "nearest is gpt"),
+        ("gpt.layers=many", "a int is wanted"),
+        ("gpt=4", "holds several settings"),
+        ("generation.bounding=sometimes", "bounding is one of"),
+        ("train_renderer.betas=[0.5]", "tuple"),
+        ("layers", "give key=value"),
+        ("missing.yaml", "cannot be read"),
+    ],
+)
+def test_wrong_settings_are_told(argument, message):
+    with pytest.raises(BadInput, match=message):
+        override(preset("lite"), parse_overrides([argument]))
+
+
+def test_unknown_preset():
+    with pytest.raises(BadInput, match="paper, lite, tiny"):
+        preset("huge")

@@ -1,0 +1,109 @@
+import pytest
+import torch
+
+from mraa.flow import region_heatmap, sparse_motions
+from mraa.grid import coordinate_grid, warp
+from mraa.regions import moments, regions_from_motion
+from mraa.renderer import GeneratorConfig, HourglassConfig, Renderer, RendererConfig
+from mraa.transform import random_thin_plate
+
+SMALL = RendererConfig(
+    regions=3,
+    estimator=HourglassConfig(4, 3, 16),
+    background=HourglassConfig(4, 3, 16),
+    flow=HourglassConfig(4, 3, 16),
+    generator=GeneratorConfig("lite", width=16, bottleneck_blocks=1),
+)
+
+
+def test_identity_warp_shifts_nothing():
+    image = torch.rand(1, 2, 9, 12)
+    flow = coordinate_grid(9, 12)[None]
+    torch.testing.assert_close(warp(image, flow, align_corners=True), image, atol=1e-5, rtol=0)
+
+
+def test_warp_keeps_layout_and_gradient():
+    image = torch.rand(2, 4, 8, 8)
+    flow = (coordinate_grid(8, 8) * 0.7).expand(2, -1, -1, -1)
+    planes = image.clone().requires_grad_()
+    rows = image.clone().contiguous(memory_format=torch.channels_last).requires_grad_()
+    a, b = (warp(x, flow, align_corners=True) for x in (planes, rows))
+    assert b.is_contiguous(memory_format=torch.channels_last)
+    torch.testing.assert_close(a, b)
+    a.square().sum().backward()
+    b.square().sum().backward()
+    torch.testing.assert_close(planes.grad, rows.grad)
+
+
+def test_moments_of_two_cells():
+    heatmap = torch.zeros(1, 1, 5, 5)
+    heatmap[0, 0, 0, 0] = heatmap[0, 0, 4, 0] = 0.5  # both left corners
+    shift, covariance = moments(heatmap)
+    torch.testing.assert_close(shift[0, 0], torch.tensor([-1.0, 0.0]))
+    torch.testing.assert_close(covariance[0, 0], torch.tensor([[0.0, 0.0], [0.0, 1.0]]))
+
+
+def test_a_region_that_moves_right_fetches_from_the_left():
+    covariance = torch.full((1, 1, 1, 1), 0.04) * torch.eye(2)
+    source = regions_from_motion(torch.tensor([[[-0.5, 0.0]]]), covariance)
+    driving = regions_from_motion(torch.tensor([[[0.25, 0.0]]]), covariance)
+    fields = sparse_motions(source, driving, 3, 3, background=None, revert_axis_swap=True)
+    grid = coordinate_grid(3, 3)
+    torch.testing.assert_close(fields[0, 0], grid)
+    torch.testing.assert_close(fields[0, 1], grid - torch.tensor([0.75, 0.0]))
+
+
+def test_background_homography_moves_only_the_background():
+    regions = regions_from_motion(torch.zeros(1, 1, 2), 0.04 * torch.eye(2)[None, None])
+    matrix = torch.eye(3)[None].clone()
+    matrix[0, 0, 2] = 0.5
+    fields = sparse_motions(regions, regions, 2, 2, background=matrix, revert_axis_swap=True)
+    grid = coordinate_grid(2, 2)
+    torch.testing.assert_close(fields[0, 0], grid + torch.tensor([0.5, 0.0]))
+    torch.testing.assert_close(fields[0, 1], grid)
+
+
+def test_region_heatmap_is_one_at_the_centre_and_falls_by_the_covariance():
+    regions = regions_from_motion(
+        torch.zeros(1, 1, 2), torch.diag(torch.tensor([0.25, 1.0]))[None, None]
+    )
+    heatmap = region_heatmap(regions, 5, 5)[0, 0]
+    assert float(heatmap[2, 2]) == 1
+    assert float(heatmap[2, 3]) == pytest.approx(2.718281828**-0.5, abs=1e-6)  # x = 0.5, sd 0.5
+    assert float(heatmap[3, 2]) == pytest.approx(2.718281828**-0.125, abs=1e-6)
+
+
+@pytest.mark.parametrize("design", ["paper", "lite"])
+def test_shapes_and_ranges(design):
+    config = RendererConfig(
+        **{**vars(SMALL), "generator": GeneratorConfig(design, 16, 32, 2, 1)}
+    )
+    renderer = Renderer(config).eval()
+    image = torch.rand(2, 3, 64, 64)
+    regions = renderer.estimator(image)
+    assert regions.shift.shape == (2, 3, 2)
+    torch.testing.assert_close(regions.heatmap.sum(dim=(2, 3)), torch.ones(2, 3))
+    assert (torch.linalg.eigvalsh(regions.covariance) > 0).all()
+    background = renderer.background(image, image)
+    torch.testing.assert_close(background, torch.eye(3).expand(2, 3, 3))  # before training
+    prediction, flow = renderer(image, regions, regions, background)
+    assert prediction.shape == image.shape
+    assert 0 <= float(prediction.min()) and float(prediction.max()) <= 1
+    assert flow.flow.shape == (2, 16, 16, 2)
+    torch.testing.assert_close(flow.masks.sum(1), torch.ones(2, 16, 16))
+    # the driving pose is the source's: every sparse motion is the identity
+    grid = coordinate_grid(16, 16).expand(2, -1, -1, -1)
+    torch.testing.assert_close(flow.flow, grid, atol=1e-3, rtol=0)
+
+
+def test_thin_plate_jacobian_is_the_derivative():
+    torch.manual_seed(0)
+    transform = random_thin_plate(2)
+    points = torch.rand(2, 5, 2) * 1.2 - 0.63
+    jacobian = transform.jacobian(points)
+    step = 1e-3
+    for axis in range(2):
+        offset = torch.zeros(2)
+        offset[axis] = step
+        slope = (transform.points(points + offset) - transform.points(points - offset)) / (2 * step)
+        torch.testing.assert_close(jacobian[..., axis], slope, atol=2e-3, rtol=0)
