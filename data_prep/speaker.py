@@ -25,6 +25,9 @@ _SEARCH_SIDES = (480, 960)
 _SMALLEST = 20
 """Pixels of the cascades' window."""
 
+_NEAR_HEIGHT = 60
+"""Pixels that a face has when only its neighbourhood is searched."""
+
 _FRONTAL = ("frontalface_alt2", "frontalface_alt", "frontalface_default")
 _SURE, _LIKELY = 25, 16
 """Overlapping hits, over all cascades, that make a face sure, or likely."""
@@ -157,7 +160,7 @@ def find_faces(image: np.ndarray, near: Face | None = None) -> list[Face]:
         part = image[top : min(bottom, height), left : min(right, width)]
         if min(part.shape[:2]) < 20:
             return []
-        scale = min(1.0, 80 / near.h)
+        scale = min(1.0, _NEAR_HEIGHT / near.h)
         return [
             Face(left + face.x, top + face.y, face.w, face.h)
             for face in _at_scale(part, scale, Face(0, 0, near.w * scale, near.h * scale))

@@ -8,6 +8,7 @@ import av.error
 import numpy as np
 from av.container import InputContainer
 from av.video.frame import VideoFrame
+from av.video.reformatter import VideoReformatter
 from av.video.stream import VideoStream
 
 from data_prep.container import describe, open_media
@@ -76,19 +77,25 @@ def _square_pixel_width(stream: VideoStream, width: int) -> int:
     return round(width * aspect) if aspect else width
 
 
-def _to_rgb(frame: VideoFrame, stream: VideoStream) -> np.ndarray:
-    """The frame upright as `(H, W, 3)` uint8 RGB, in the colours its tags (or its size) tell."""
-    matrix = int(frame.colorspace)
-    if matrix in (0, _UNSPECIFIED):
-        matrix = _BT709 if frame.height >= _HD_HEIGHT else _BT601
-    rgb = frame.reformat(
-        width=_square_pixel_width(stream, frame.width),
-        format="rgb24",
-        src_colorspace=matrix,
-        interpolation="BICUBIC",
-    ).to_ndarray()
-    turns = _quarter_turns(frame)
-    return np.ascontiguousarray(np.rot90(rgb, turns)) if turns else rgb
+class _ToRgb:
+    """Turns frames upright and into RGB, by the colours that their tags (or their size) tell."""
+
+    def __init__(self, stream: VideoStream) -> None:
+        self._stream = stream
+        self._reformatter = VideoReformatter()
+
+    def __call__(self, frame: VideoFrame) -> np.ndarray:
+        matrix = int(frame.colorspace)
+        if matrix in (0, _UNSPECIFIED):
+            matrix = _BT709 if frame.height >= _HD_HEIGHT else _BT601
+        rgb = self._reformatter.reformat(
+            frame,
+            width=_square_pixel_width(self._stream, frame.width),
+            format="rgb24",
+            src_colorspace=matrix,
+        ).to_ndarray()
+        turns = _quarter_turns(frame)
+        return np.ascontiguousarray(np.rot90(rgb, turns)) if turns else rgb
 
 
 def probe(path: Path) -> VideoInfo:
@@ -141,6 +148,7 @@ def read_frames(path: Path, fps: float = FPS) -> Iterator[np.ndarray]:
     path = Path(path)
     with open_media(path) as container:
         stream = _picture_stream(path, container)
+        to_rgb = _ToRgb(stream)
         step = 1.0 / float(stream.average_rate or stream.guessed_rate or fps)
         shown: VideoFrame | None = None
         start = time = 0.0
@@ -152,7 +160,7 @@ def read_frames(path: Path, fps: float = FPS) -> Iterator[np.ndarray]:
                 time = max(_time(frame, time + step), time)
                 rgb = None
                 while start + count / fps < time - _ROUNDING:
-                    rgb = _to_rgb(shown, stream) if rgb is None else rgb.copy()
+                    rgb = to_rgb(shown) if rgb is None else rgb.copy()
                     yield rgb
                     count += 1
             shown = frame
@@ -161,7 +169,7 @@ def read_frames(path: Path, fps: float = FPS) -> Iterator[np.ndarray]:
         end = time + _shown_for(shown, step)
         rgb = None
         while start + count / fps < end - _ROUNDING:
-            rgb = _to_rgb(shown, stream) if rgb is None else rgb.copy()
+            rgb = to_rgb(shown) if rgb is None else rgb.copy()
             yield rgb
             count += 1
 

@@ -44,21 +44,21 @@ def write_talk(
 
 
 def test_clips_keep_sound_and_picture_together(tmp_path: Path, person: Draw) -> None:
-    flashes = (30, 120, 300, 410)
-    samples = pauses(18.0, [9.0])
+    flashes = (30, 120, 260, 340)
+    samples = pauses(15.0, [8.0])
     for k in flashes:
         samples[k * 640 : k * 640 + 64] = 0.9
     video = tmp_path / "ann" / "talk.mp4"
-    write_talk(video, person, 18.0, samples, flashes)
+    write_talk(video, person, 15.0, samples, flashes)
     words = [{"word": "one", "start": 1.2, "end": 1.5}, {"word": "two", "start": 12.0, "end": 12.2}]
     video.with_suffix(".words.json").write_text(json.dumps(words))
     summary = prepare([tmp_path / "ann"], tmp_path / "data", jobs=1)
     data = Dataset(tmp_path / "data")
     first, second = data.clips()
     assert (first.speaker, first.source, first.id) == ("ann", "ann_talk", "ann_talk_000")
-    assert first.n_frames + second.n_frames == 450
+    assert first.n_frames + second.n_frames == 375
     assert second.start == pytest.approx(first.n_frames / 25)
-    assert abs(second.start - 9.0) < 0.3
+    assert abs(second.start - 8.0) < 0.3
     assert {first.split, second.split} == {"train", "test"}
     crop = data.manifest["sources"][0]["crop"]
     lamp = [round((c - o) * 256 / crop["size"]) for c, o in ((215, crop["y"]), (145, crop["x"]))]
@@ -78,20 +78,20 @@ def test_clips_keep_sound_and_picture_together(tmp_path: Path, person: Draw) -> 
     assert [(w.word, w.start) for w in data.words(first) or []] == [("one", 1.2)]
     (two,) = data.words(second) or []
     assert two.start == pytest.approx(12.0 - second.start, abs=1e-3)
-    assert "2 clips, 0.3 min" in str(summary) and "in time" in str(summary)
+    assert "2 clips, 0.2 min" in str(summary) and "in time" in str(summary)
 
 
 def test_unusable_videos_are_listed_and_the_others_kept(tmp_path: Path, person: Draw) -> None:
     talks = tmp_path / "talks"
-    write_talk(talks / "good.mp4", person, 5.0, pauses(5.0, []), ())
-    write_talk(talks / "silent.mp4", person, 5.0, None, ())
+    write_talk(talks / "good.mp4", person, 4.0, pauses(4.0, []), ())
+    write_talk(talks / "silent.mp4", person, 4.0, None, ())
     write_talk(talks / "short.mp4", person, 2.0, pauses(2.0, []), ())
-    write_talk(talks / "still.mp4", lambda hand: person(), 5.0, pauses(5.0, []), ())
+    write_talk(talks / "still.mp4", lambda hand: person(), 5.0, pauses(4.0, []), ())
     write_talk(
         talks / "empty.mp4",
         lambda hand: np.full((360, 480, 3), round(99 + 9 * hand), np.uint8),
-        5.0,
-        pauses(5.0, []),
+        4.0,
+        pauses(4.0, []),
         (),
     )
     (talks / "text.mp4").write_text("no video")
@@ -114,7 +114,7 @@ def test_unusable_videos_are_listed_and_the_others_kept(tmp_path: Path, person: 
 
 
 def test_nothing_is_left_behind(tmp_path: Path, person: Draw) -> None:
-    write_talk(tmp_path / "in" / "silent.mp4", person, 5.0, None, ())
+    write_talk(tmp_path / "in" / "silent.mp4", person, 4.0, None, ())
     for videos, output, reason in [
         (["in"], "data", "silent.mp4: has no sound"),
         (["none.mp4"], "data", "no such file"),
@@ -146,8 +146,9 @@ def test_cuts_fall_into_pauses() -> None:
     assert all(a[1] == b[0] for a, b in zip(bounds, bounds[1:], strict=False))
     for cut in cuts:
         assert min(abs(cut / 25 - pause) for pause in (9.0, 11.5, 21.0)) < 0.2
+    noise = pauses(60.0, [])
     for frames in range(SHORTEST, 1500, 37):
-        lengths = [b - a for a, b in clip_bounds(pauses(60.0, []), frames)]
+        lengths = [b - a for a, b in clip_bounds(noise, frames)]
         assert sum(lengths) == frames
         assert all(SHORTEST <= n <= LONGEST for n in lengths)
 
