@@ -82,23 +82,50 @@ def soft_range(displacement: Tensor, low: Tensor, high: Tensor) -> Tensor:
     return torch.where(size > LINEAR, centre + half * place.sign() * bent, displacement)
 
 
-def integrate_bounded(
-    delta: Tensor, start: Tensor, rest: Tensor, mean: Tensor, low: Tensor, high: Tensor
-) -> Tensor:
-    """Integrate generated deltas without drift: constant part removed, leak, soft range.
+def activity(delta: Tensor) -> Tensor:
+    """How much moves in each frame: root mean square over the channels of normalised deltas.
 
     Args:
-        delta: (T, C) relative motion as decoded.
+        delta: (..., T, C) deltas in units of their training standard deviation.
+
+    Returns:
+        (..., T, 1).
+    """
+    return delta.square().mean(dim=-1, keepdim=True).sqrt()
+
+
+def remove_mean(delta: Tensor, mean: Tensor) -> Tensor:
+    """Take the constant part of decoded deltas away, in proportion to the activity of a frame.
+
+    What a decoder adds in the long run it adds while something moves; taking a plain constant away
+    would set a silent, still person in motion. Over the training set the result has mean zero.
+
+    Args:
+        delta: (..., T, C) decoded deltas, normalised.
+        mean: (C,) sum of decoded deltas over the training set, divided by the sum of activities.
+
+    Returns:
+        (..., T, C) deltas, normalised.
+    """
+    return delta - mean * activity(delta)
+
+
+def integrate_bounded(
+    delta: Tensor, start: Tensor, rest: Tensor, low: Tensor, high: Tensor
+) -> Tensor:
+    """Integrate generated deltas without drift: leak toward the rest pose, soft range.
+
+    Args:
+        delta: (T, C) relative motion, its constant part removed.
         start: (C,) pose of frame 1.
         rest: (C,) rest pose of the speaker, or `start` for an unknown one.
-        mean: (C,) long-run mean of decoded deltas over the training set.
         low: (C,) 0.2th percentile of the training displacement from rest.
         high: (C,) 99.8th percentile.
 
     Returns:
         (T, C) absolute motion; frame 1 is `start`.
     """
-    leaky = integrate_leaky(delta - mean, start, rest)
+    leaky = integrate_leaky(delta, start, rest)
     motion = rest + soft_range(leaky - rest, low, high)
     motion[..., 0, :] = start
     return motion

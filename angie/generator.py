@@ -6,7 +6,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from angie.drift import MODES, bounded, integrate_bounded
+from angie.drift import MODES, bounded, integrate_bounded, remove_mean
 from angie.gpt import CoSpeechGPT
 from angie.motion import Motion, integrate, positive, render_floor
 from angie.refiner import Refiner
@@ -166,22 +166,22 @@ class AngieGenerator:
         return self.gpt.generate(begin, standard, self.config.sampling, generator, voiced)
 
     def _decode(self, codes: Tensor) -> Tensor:
-        """Deltas (8S, 5K) of codes (2, S), in coordinates, on the CPU."""
+        """Normalised deltas (8S, 5K) of codes (2, S) on the CPU."""
         codes = codes.to(self.vq.mean.device)
         if self.config.decode == "chunked":
             delta = self.vq.decode_chunked(codes)
         else:
             delta = self.vq.decode(codes[None])[0]
-        return delta.float().cpu() * self.statistics.delta_scale
+        return delta.float().cpu()
 
     def _integrate(self, delta: Tensor, start: Tensor, speaker: str | None) -> Tensor:
-        """Pattern motion (T, 5K)."""
-        rest = start if speaker is None else self.statistics.rest_of(speaker)
-        if not bounded(self.config.bounding, len(delta)):
-            return integrate(delta, start)
+        """Pattern motion (T, 5K) of normalised deltas."""
         statistics = self.statistics
-        mean = self.vq.mean.cpu() * statistics.delta_scale
-        return integrate_bounded(delta, start, rest, mean, statistics.low, statistics.high)
+        rest = start if speaker is None else statistics.rest_of(speaker)
+        if not bounded(self.config.bounding, len(delta)):
+            return integrate(delta * statistics.delta_scale, start)
+        delta = remove_mean(delta, self.vq.mean.cpu()) * statistics.delta_scale
+        return integrate_bounded(delta, start, rest, statistics.low, statistics.high)
 
     def _residual(self, mfcc: Tensor, pattern: Tensor) -> Tensor:
         """Residual motion (T, 5K); it grows from zero over the first token."""

@@ -6,6 +6,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from angie.drift import activity
 from angie.motion import deltas
 from angie.schedule import Schedule
 from angie.vq import VQConfig, VQMotionExtractor
@@ -115,9 +116,11 @@ def decode_windows(vq: VQMotionExtractor, codes: Tensor, at_once: int = 64) -> T
 
 
 def decoded_mean(vq: VQMotionExtractor, windows: MotionWindows) -> Tensor:
-    """Mean (5K,) over the training windows of the deltas as decoded, normalised."""
-    codes = encode_windows(vq, windows)
+    """Sum (5K,) of the windows' decoded deltas, normalised, divided by their summed activity."""
     total = torch.zeros_like(vq.mean, device="cpu", dtype=torch.float64)
-    for group in codes.split(64):
-        total += decode_windows(vq, group).double().mean(dim=1).sum(dim=0)
-    return (total / len(codes)).to(vq.mean)
+    moved = 0.0
+    for group in encode_windows(vq, windows).split(64):
+        decoded = decode_windows(vq, group).double()
+        total += decoded.sum(dim=(0, 1))
+        moved += float(activity(decoded).sum())
+    return (total / max(moved, 1e-12)).to(vq.mean)

@@ -147,7 +147,7 @@ class VQMotionExtractor(nn.Module):
         self.shift = VQStream(2 * config.regions, config)
         self.cholesky = VQStream(3 * config.regions, config)
         self.register_buffer("mean", torch.zeros(5 * config.regions))
-        """(5K,) mean of decoded deltas over the training set, normalised; drift bounding."""
+        """(5K,) long-run mean of decoded deltas for each unit of activity; drift bounding."""
 
     def forward(self, deltas: Tensor) -> Reconstruction:
         """Encode, quantise and decode normalised deltas (B, T, 5K)."""

@@ -3,7 +3,14 @@ import math
 import pytest
 import torch
 
-from angie.drift import bounded, integrate_bounded, integrate_leaky, soft_range
+from angie.drift import (
+    activity,
+    bounded,
+    integrate_bounded,
+    integrate_leaky,
+    remove_mean,
+    soft_range,
+)
 from angie.motion import integrate
 
 
@@ -54,16 +61,25 @@ def test_a_minute_of_biased_deltas_stays_bounded():
     start = torch.zeros(5)
     wide = torch.ones(5)
     plain = integrate(delta, start)
-    leaky = integrate_bounded(delta, start, start, torch.zeros(5), -wide, wide)
-    known = integrate_bounded(delta, start, start, torch.full((5,), bias), -wide, wide)
+    leaky = integrate_bounded(delta, start, start, -wide, wide)
     assert plain.abs().max() > 0.14
     assert leaky[-1, 0].item() == pytest.approx(bias / (1 - math.exp(-1 / 200)), rel=1e-3)
     assert leaky.abs().max() < 0.05
-    assert known.abs().max() < 1e-7
 
 
 def test_frame_one_is_the_start_exactly():
     start, rest = torch.randn(5), torch.randn(5)
     low, high = torch.full((5,), -0.01), torch.full((5,), 0.01)
-    motion = integrate_bounded(torch.randn(300, 5), start, rest, torch.zeros(5), low, high)
+    motion = integrate_bounded(torch.randn(300, 5), start, rest, low, high)
     assert torch.equal(motion[0], start)
+
+
+def test_the_constant_part_goes_with_the_activity():
+    # activities: sqrt((9 + 16) / 2), 0, sqrt((1 + 1) / 2)
+    delta = torch.tensor([[3.0, 4.0], [0.0, 0.0], [-1.0, 1.0]])
+    active = activity(delta)
+    assert torch.allclose(active, torch.tensor([[12.5**0.5], [0.0], [1.0]]))
+    mean = delta.sum(0) / active.sum()
+    removed = remove_mean(delta, mean)
+    assert torch.allclose(removed.sum(0), torch.zeros(2), atol=1e-6)
+    assert (removed[1] == 0).all()  # a still frame stays still
