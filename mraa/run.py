@@ -46,7 +46,7 @@ class RunConfig:
 
 
 def native_precision(device: str = "auto") -> str:
-    """"bf16-mixed" where the device computes in bfloat16 natively, else "32-true"."""
+    """Name "bf16-mixed" where the device computes in bfloat16 natively, else "32-true"."""
     if device != "cpu" and torch.cuda.is_available():
         return "bf16-mixed" if torch.cuda.is_bf16_supported() else "32-true"
     names = ("_is_avx512_bf16_supported", "_is_amx_tile_supported")  # torch 2.6 and newer
@@ -161,7 +161,7 @@ class Run:
         """Place model and optimiser, and restore both when resuming."""
         self._models, self._optimizer = [model], optimizer
         if self.resume and self.checkpoint.exists():
-            self.first = load_checkpoint(self.checkpoint, model, optimizer)
+            self.first = self.step = load_checkpoint(self.checkpoint, model, optimizer)
         if self.fabric.world_size > 1:
             model = nn.SyncBatchNorm.convert_sync_batchnorm(model) if _cuda(self) else model
         wrapped, placed = self.fabric.setup(model, optimizer)
@@ -272,9 +272,7 @@ def save_checkpoint(
         for name, value in state.items():
             tensors[f"optimizer.{number}.{name}"] = torch.as_tensor(value).detach().clone()
     with whole_file(path, force=True) as part:
-        save_file(
-            {k: v.contiguous().cpu() for k, v in tensors.items()}, part, {"step": str(step)}
-        )
+        save_file({k: v.contiguous().cpu() for k, v in tensors.items()}, part, {"step": str(step)})
 
 
 def load_checkpoint(path: Path, model: nn.Module, optimizer: torch.optim.Optimizer) -> int:

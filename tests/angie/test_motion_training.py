@@ -161,6 +161,16 @@ def test_a_resumed_gpt_is_the_uninterrupted_one(vq, windows, held_out, tmp_path,
     assert same(whole, killed_and_resumed(train, tmp_path / "half", monkeypatch, 5))
 
 
+def test_a_finished_stage_stays_finished_however_often_it_is_resumed(windows, tmp_path):
+    config = VQConfig(regions=4, width=8, codes=16, code_width=8)
+    training = VQTraining(schedule(3))
+    results = [
+        train_vq(tmp_path, windows, config, training, run_config=CPU, resume=resume)
+        for resume in (False, True, True)
+    ]
+    assert same(results[0], results[1]) and same(results[0], results[2])
+
+
 def test_a_resumed_refiner_is_the_uninterrupted_one(vq, windows, held_out, tmp_path, monkeypatch):
     def train(folder, resume):
         folder.mkdir(exist_ok=True)
