@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_prep.phantom import limbs, scene
+from data_prep.phantom.hand import Hand, draw_hand
 from data_prep.phantom.head import HEAD, Head
 from data_prep.phantom.paint import Array, Canvas
 from data_prep.phantom.presenters import Presenter, Setting
@@ -129,12 +130,12 @@ class Figure:
         depth = self.joints.depth[t, own] * place.zoom
         offset = (-18 * place.light[0], 8 - 6 * place.light[1])
         limbs.shadow(picture, points, 17 * look.girth, offset, 0.34)
-        radii = np.array([17.5, 15.0, 9.6], np.float32) * look.girth * depth[:3]
+        radii = np.array([16.0, 15.0 * look.girth, 9.6 * look.girth], np.float32) * depth[:3]
         skin = (255 * look.skin[0], 255 * look.skin[1], 255 * look.skin[2])
         loose = _LOOSE.get(place.garment, 1.05)
         sleeve = limbs.Sleeve(self.tile, TILE_DENSITY, _REACH[place.sleeve], skin, loose)
         limbs.arm(picture, points[:3], self.joints.sleeve[t, side], radii, sleeve, place.light)
-        hand = limbs.Hand(
+        hand = Hand(
             wrist=points[2],
             angle=float(course.angle[t, side]),
             scale=float(depth[2]) * (0.96 + 0.1 * look.girth),
@@ -142,7 +143,7 @@ class Figure:
             turn=float(course.turn[t, side] * -SIDES[side]),
             fore=float(course.fore[t, side]),
         )
-        limbs.draw_hand(picture, hand, skin, place.light)
+        draw_hand(picture, hand, skin, place.light)
 
     def frame(self, t: int) -> NDArray[np.uint8]:
         """Picture t of the course, (HEIGHT, WIDTH, 3) uint8 RGB."""
@@ -166,4 +167,4 @@ class Figure:
         picture *= self.lens
         picture += self.grain[t % _GRAINS]
         whole = cv2.merge([cv2.convertScaleAbs(plane) for plane in picture])
-        return cv2.GaussianBlur(whole, (3, 3), self.place.blur)  # type: ignore[return-value]
+        return cv2.GaussianBlur(whole, (3, 3), self.place.blur)

@@ -136,11 +136,13 @@ def _placed(
     All three fall on syllables where there is one in reach, since movement is phrased with speech.
     """
     drive = _stroke_time(template, style)
-    ready = float(rng.uniform(0.36, 0.48)) / style.quickness
-    earliest = min(max(free, start - 0.4), beat - 0.26)
-    onset = _snapped(beat - drive - ready, earliest, beat - _SHORTEST, nuclei)
-    onset = min(onset, beat - 0.26)
-    prepared = _snapped(beat - drive, onset + 0.13, beat - 0.13, nuclei)
+    wanted = beat - drive - float(rng.uniform(0.36, 0.48)) / style.quickness
+    earliest = max(free, min(start - 0.12, beat - 0.45))
+    onset = max(_snapped(wanted, max(wanted - 0.35, earliest), wanted + 0.14, nuclei), free)
+    onset = min(onset, beat - 0.28)
+    room = beat - onset
+    low, high = onset + 0.4 * room, onset + 0.7 * room
+    prepared = _snapped(beat - drive, low, high, nuclei)
     end = _snapped(beat + RECOIL, beat + 0.14, beat + 0.36, nuclei)
     return onset, prepared, end
 

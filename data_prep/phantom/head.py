@@ -57,7 +57,8 @@ def _relief(look: Look, mask: Array) -> Array:
         hills = hills + look.brow * 2.6 * bump(x, y, side * 15, -10, 11, 3.6)
         hills = hills + 3.2 * bump(x, y, side * 20, 16, 9, 8)
         hills = hills + size * 1.6 * bump(x, y, side * 6, 19.5, 2.6, 2.4)
-    return inflate(mask, 40 * HEAD.density, 4.0) * 0.9 + hills * HEAD.density * 0.8
+    pillow = inflate(mask, 40 * HEAD.density, 4.0) * 0.9
+    return (pillow + hills * HEAD.density * 0.8).astype(np.float32)
 
 
 def _complexion(look: Look, rng: np.random.Generator) -> Array:
@@ -111,8 +112,8 @@ def _face(look: Look, place: Setting, rng: np.random.Generator) -> Array:
 
 def _brow(canvas: Canvas, patch: Array, look: Look, side: int, lift: float) -> None:
     y = -11.5 - 3.2 * lift
-    arch = [(6.5, y + 1.8), (12, y - 0.8), (18, y - 1.8), (24.5, y + 1.4)]
-    under = [(24.5, y + 2.2), (18, y + 0.9 * look.brow), (12, y + 2.2 * look.brow), (6.5, y + 4.0)]
+    arch = [(6.5, y + 0.6), (12, y - 0.8), (18, y - 1.8), (24.5, y + 1.4)]
+    under = [(24.5, y + 2.2), (18, y + 0.9 * look.brow), (12, y + 2.2 * look.brow), (6.5, y + 2.9)]
     outline = smooth([(side * px, py) for px, py in arch + under], steps=6)
     mask = canvas.fill(outline, 0.55)
     cover(patch, np.asarray(look.hair, np.float32) * 0.55, np.minimum(0.85 * mask, patch[..., 3]))
@@ -168,7 +169,7 @@ def _lips(canvas: Canvas, patch: Array, look: Look, gap: float, width: float) ->
     arc = np.linspace(-1, 1, 15)
     round_ = 1 - arc * arc
     bow = 2.6 * round_**0.8 - 0.8 * np.exp(-((arc * 6) ** 2))
-    corner = 32.3 + 0.6 * gap
+    corner = 31.7 + 1.2 * gap
     high = corner + (top - 0.2 - corner) * round_
     floor = corner + (drop - corner) * round_**0.8
     inside = canvas.fill(np.stack([np.r_[arc, arc[::-1]] * half, np.r_[high, floor[::-1]]], 1))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from data_prep.phantom.formant import CONTROL
 from data_prep.phantom.gesture import REST, TEMPLATES, Stroke, Template
-from data_prep.phantom.limbs import SHAPES
+from data_prep.phantom.hand import SHAPES
 from data_prep.phantom.presenters import Style
 from data_prep.phantom.skeleton import SIDES, Course
 from data_prep.phantom.speech import Speech
@@ -28,33 +28,44 @@ def minimum_jerk(share: NDArray) -> NDArray:
 
 @dataclass
 class _Path:
-    """Key poses of one hand: time and x, y, z, angle, turn, fore and six of shape."""
+    """Moves of one hand through key poses (12,): x, y, z, angle, turn, fore and six of shape.
 
-    times: list[float] = field(default_factory=list)
-    poses: list[NDArray] = field(default_factory=list)
-    bulges: list[NDArray] = field(default_factory=list)
+    Each move is a minimum-jerk course; moves that overlap in time add up, so that the hand turns
+    the corner without a stop.
+    """
 
-    def to(self, time: float, pose: NDArray, bulge: NDArray | None = None) -> None:
-        """Be at `pose` at `time`; the way there bows out by `bulge` (3,)."""
-        if self.times and time <= self.times[-1] + 1e-6:
-            raise ValueError(f"key pose at {time:.3f} s is not after {self.times[-1]:.3f} s")
-        self.times.append(time)
-        self.poses.append(pose)
-        self.bulges.append(np.zeros(3) if bulge is None else bulge)
+    now: float
+    pose: NDArray
+    moves: list[tuple[float, float, NDArray, NDArray]] = field(default_factory=list)
+    first: NDArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.first = self.pose
+
+    def to(
+        self, time: float, pose: NDArray, bulge: NDArray | None = None, late: float = 0.0
+    ) -> None:
+        """Move from now until `time` to `pose`, bowing out by `bulge` (3,).
+
+        The move ends `late` seconds after `time`, which is when the next may start.
+        """
+        if time <= self.now + 1e-6:
+            raise ValueError(f"a move cannot end at {time:.3f} s and start at {self.now:.3f} s")
+        bow = np.zeros(3) if bulge is None else bulge
+        self.moves.append((self.now, time + late, pose - self.pose, bow))
+        self.now, self.pose = time, pose
 
     def wait(self, time: float) -> None:
         """Stay where the hand is until `time`, when that is later."""
-        if time > self.times[-1] + 1e-6:
-            self.to(time, self.poses[-1])
+        self.now = max(self.now, time)
 
     def sample(self, at: NDArray) -> NDArray:
         """Poses (n, 12) at times (n,)."""
-        times, poses = np.array(self.times), np.array(self.poses)
-        index = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2)
-        share = (at - times[index]) / (times[index + 1] - times[index])
-        progress = minimum_jerk(share)[:, None]
-        out = poses[index] + (poses[index + 1] - poses[index]) * progress
-        out[:, :3] += np.array(self.bulges)[index + 1] * (np.sin(np.pi * progress) ** 2)
+        out = np.tile(self.first, (len(at), 1))
+        for start, end, change, bow in self.moves:
+            progress = minimum_jerk((at - start) / (end - start))[:, None]
+            out += change * progress
+            out[:, :3] += bow * np.sin(np.pi * progress) ** 2
         return out
 
 
@@ -80,9 +91,8 @@ def _course_of_hand(
 ) -> _Path:
     side = float(SIDES[hand])
     rest = _pose(REST, False, False, side, style)
-    path = _Path()
-    path.to(-1.0, rest)
-    ends = [end for _, end in speech.phrases]
+    path = _Path(-1.0, rest)
+    nuclei, starts, ends = speech.nuclei, *zip(*speech.phrases, strict=True)
     mine = [stroke for stroke in strokes if hand in stroke.hands]
     for number, stroke in enumerate(mine):
         template = TEMPLATES[stroke.label]
@@ -90,20 +100,20 @@ def _course_of_hand(
         shift = np.concatenate([rng.normal(0, 4, 3), np.zeros(9)])
         prep = _pose(template, False, second, side, style) + shift
         apex = _pose(template, True, second, side, style) + shift
+        spoken = stroke.prepared > starts[speech.words[stroke.word].phrase]
+        drive = stroke.apex - stroke.prepared
         path.wait(stroke.onset)
-        path.to(stroke.prepared, prep)
+        path.to(stroke.prepared, prep, late=0.0 if spoken else 0.5 * drive)
         bulge = np.array(template.bulge) * np.array([side, 1, 1]) * style.amplitude
         path.to(stroke.apex, apex, bulge)
         path.to(stroke.end, apex + 0.13 * (prep - apex))
         after = mine[number + 1].onset if number + 1 < len(mine) else np.inf
         phrase_end = ends[speech.words[stroke.word].phrase]
-        leave = max(stroke.end, min(phrase_end, stroke.end + 1.4))
-        if after - leave > _HOLD:
+        last = float(nuclei[nuclei < phrase_end][-1])
+        leave = max(stroke.end, min(last, stroke.end + 1.4))
+        if after - phrase_end > _HOLD:
             path.wait(leave)
             path.to(leave + _RETURN, rest)
-    path.wait(speech.duration + 2.0)
-    if len(path.times) < 2:
-        path.to(speech.duration + 2.0, rest)
     return path
 
 
@@ -136,7 +146,7 @@ def _rhythm(
     nuclei = speech.nuclei
     for start, end in speech.phrases:
         inside = nuclei[(nuclei >= start) & (nuclei <= end)].tolist()
-        keys[min(start, inside[0] - 0.12)] = keys[max(end, inside[-1] + 0.16)] = 0.0
+        keys[inside[0] - 0.14] = keys[inside[-1] + 0.2] = 0.0
         value = 0.0
         for nucleus in inside:
             value = strong.get(nucleus, -0.35 if value > 0 else 0.25)
@@ -162,11 +172,11 @@ def _wander(at: NDArray, speech: Speech, size: float, rng: np.random.Generator) 
     spans = speech.phrases
     for index, (start, end) in enumerate(spans):
         goal = float(rng.normal(0, size))
-        path += (goal - now) * minimum_jerk((at - start) / 0.7)
+        path += (goal - now) * minimum_jerk((at - start - 0.08) / 0.7)
         now = goal
         quiet = index + 1 == len(spans) or spans[index + 1][0] - end > _HOLD
         if quiet:
-            path += -now * minimum_jerk((at - end) / 0.6)
+            path += -now * minimum_jerk((at - end + 0.15) / 0.6)
             now = 0.0
     return path
 
@@ -222,11 +232,11 @@ def course(speech: Speech, strokes: list[Stroke], style: Style, rng: np.random.G
     nod = style.nod * _rhythm(at, speech, accents, [])
     head = np.stack([
         _wander(at, speech, 0.10, rng),
-        0.10 * nod + _wander(at, speech, 0.04, rng),
+        0.13 * nod + _wander(at, speech, 0.04, rng),
         _wander(at, speech, 0.035, rng) + 0.01 * nod,
     ], 1)  # fmt: skip
     sway = np.stack([
-        _wander(at, speech, 4.0 * style.sway, rng), 0.5 * breath + 0.9 * nod,
+        _wander(at, speech, 4.0 * style.sway, rng), 0.4 * breath + 1.3 * nod,
     ], 1)  # fmt: skip
     lean = _wander(at, speech, 0.014 * style.sway, rng)
     return Course(

@@ -4,6 +4,7 @@ Every layer lives on a `Canvas`, a raster of a rectangle given in figure units (
 the height of a head, x right, y down). Colours are float32 RGB in [0, 1].
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -48,7 +49,7 @@ class Canvas:
         mask = np.zeros(self.shape, np.uint8)
         fixed = np.round(self.pixels(points) * 256).astype(np.int32)
         cv2.fillPoly(mask, [fixed], (255,), cv2.LINE_AA, 8)
-        return blur(mask.astype(np.float32) / 255, soft * self.density)
+        return blur(mask.astype(np.float32) / np.float32(255), soft * self.density)
 
     def stroke(self, points: NDArray, width: float, soft: float = 0.0) -> Array:
         """Coverage (H, W) of an open line (n, 2) of `width` units."""
@@ -56,7 +57,7 @@ class Canvas:
         fixed = np.round(self.pixels(points) * 256).astype(np.int32)
         thick = max(1, round(width * self.density))
         cv2.polylines(mask, [fixed], False, (255,), thick, cv2.LINE_AA, 8)
-        return blur(mask.astype(np.float32) / 255, soft * self.density)
+        return blur(mask.astype(np.float32) / np.float32(255), soft * self.density)
 
 
 def blur(image: Array, sigma: float) -> Array:
@@ -66,7 +67,7 @@ def blur(image: Array, sigma: float) -> Array:
     return cv2.GaussianBlur(image, (0, 0), sigma)  # type: ignore[return-value]
 
 
-def smooth(points: list[tuple[float, float]], closed: bool = True, steps: int = 12) -> Array:
+def smooth(points: Sequence[tuple[float, float]], closed: bool = True, steps: int = 12) -> Array:
     """Catmull-Rom curve (n * steps, 2) through the points."""
     p = np.asarray(points, np.float32)
     if closed:
@@ -84,9 +85,9 @@ def smooth(points: list[tuple[float, float]], closed: bool = True, steps: int = 
     return curve.transpose(1, 0, 2).reshape(-1, 2)
 
 
-def mirrored(right: list[tuple[float, float]]) -> list[tuple[float, float]]:
+def mirrored(right: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
     """An outline symmetric in x from its half with x >= 0, given from top to bottom."""
-    return right + [(-x, y) for x, y in reversed(right) if x > 0]
+    return [*right] + [(-x, y) for x, y in reversed(right) if x > 0]
 
 
 def inflate(mask: Array, radius: float, soft: float = 2.0) -> Array:
@@ -130,6 +131,6 @@ def darken(sprite: Array, mask: Array, amount: float) -> None:
     sprite[..., :3] *= (1 - amount * mask)[..., None]
 
 
-def bump(x: Array, y: Array, cx: float, cy: float, sx: float, sy: float) -> Array:
+def bump(x: Array, y: Array, cx: float | Array, cy: float | Array, sx: float, sy: float) -> Array:
     """Gaussian hill (H, W) of height one at (cx, cy) with widths (sx, sy)."""
     return np.exp(-0.5 * (((x - cx) / sx) ** 2 + ((y - cy) / sy) ** 2)).astype(np.float32)

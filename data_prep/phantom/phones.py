@@ -128,9 +128,14 @@ def segments(phones: tuple[str, ...], following: str | None, longer: float = 1.0
         elif name in ("CH", "JH"):
             fused = "T" if name == "CH" else "D"
             out += _stop(fused, None, stressed)
-            level = 0.5 if name == "CH" else 0.3
-            out.append(Segment(name, 0.07, PALATAL, PALATAL, 0.0 if name == "CH" else 0.2,
-                               friction=level, noise=(3200.0, 1700.0), open=0.15, spread=0.2))  # fmt: skip
+            level, voicing = (0.5, 0.0) if name == "CH" else (0.3, 0.2)
+            noise = (3200.0, 1700.0)
+            out.append(
+                Segment(
+                    name, 0.07, PALATAL, PALATAL, voicing,
+                    friction=level, noise=noise, open=0.15, spread=0.2,
+                )
+            )  # fmt: skip
         elif name == "HH":
             vowel = VOWELS[after][0] if after in VOWELS else GLOTTAL
             out.append(Segment(name, 0.06, vowel, vowel, 0.0, breath=0.65, open=0.3))

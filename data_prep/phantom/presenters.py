@@ -136,10 +136,10 @@ def presenter(index: int, seed: int = 0) -> Presenter:
     rng = np.random.default_rng([seed, index, 101])
     pick = int(rng.integers(len(_LOOKS)))
     tone = float(rng.uniform(0.75, 1.1))
-    skin = tuple(float(min(0.95, c * tone)) for c in _LOOKS[pick].skin)
+    red, green, blue = (float(min(0.95, c * tone)) for c in _LOOKS[pick].skin)
     look = replace(
         _LOOKS[pick],
-        skin=skin,
+        skin=(red, green, blue),
         face_width=float(rng.uniform(0.93, 1.07)),
         jaw=float(rng.uniform(0.9, 1.1)),
         glasses=bool(rng.random() < 0.3),

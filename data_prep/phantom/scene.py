@@ -10,7 +10,7 @@ from data_prep.phantom.texture import noise, wood
 HEIGHT, WIDTH = 360, 640
 """Size of the picture in pixels."""
 
-DESK_ROW = 318
+DESK_ROW = 321
 """Row of the far edge of the desk."""
 
 
@@ -166,7 +166,7 @@ def background(place: Setting, rng: np.random.Generator) -> Array:
 def desk(place: Setting, rng: np.random.Generator) -> Array:
     """The desk's rows (HEIGHT - DESK_ROW, WIDTH, 3), its far edge first."""
     height = HEIGHT - DESK_ROW
-    colour = np.array([0.55, 0.4, 0.28]) * rng.uniform(0.45, 1.5)
+    colour = np.array([0.55, 0.4, 0.28], np.float32) * np.float32(rng.uniform(0.45, 1.5))
     if rng.random() < 0.35:
         colour = _tone(rng, 0.15, 0.85)
     top = wood(rng, height, WIDTH, np.clip(colour, 0.05, 0.9))

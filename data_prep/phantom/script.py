@@ -92,8 +92,8 @@ def _fill(sentence: str, rng: np.random.Generator) -> list[str]:
 def script(duration: float, rate: float, rng: np.random.Generator) -> list[Phrase]:
     """Phrases that fill about `duration` seconds with pauses between them.
 
-    Pauses last 0.3 to 0.5 s inside a sentence and 0.6 to 1.2 s after one; about every fourth
-    sentence is followed by a silence of 2 to 3 s.
+    Pauses last 0.3 to 0.5 s inside a sentence and 0.4 to 1.2 s after one; every third sentence
+    is followed by a silence of 2 to 3 s.
 
     Args:
         duration: seconds to fill.
@@ -113,10 +113,11 @@ def script(duration: float, rate: float, rng: np.random.Generator) -> list[Phras
                 words.append(token)
                 continue
             last = index == len(tokens) - 1
-            pause = float(rng.uniform(0.3, 0.5) if token == "," else rng.uniform(0.6, 1.2))
+            pause = float(rng.uniform(0.3, 0.5))
             if last:
                 since += 1
-                if since >= 4:
+                pause = float(rng.uniform(0.9, 1.2) if since % 2 else rng.uniform(0.4, 0.6))
+                if since >= 3:
                     since, pause = 0, float(rng.uniform(2.0, 3.0))
             phrases.append(Phrase(tuple(words), pause, token == "."))
             spent += pause + len(words) / (2.6 * rate)

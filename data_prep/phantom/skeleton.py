@@ -26,7 +26,7 @@ UPPER_ARM, FOREARM, PALM = 124.0, 108.0, 30.0
 _PIVOT = np.array([0.0, 190.0])
 _NECK = np.array([0.0, -24.0])
 _CAMERA = 950.0
-_NECK_ROW = 154.0
+_NECK_ROW = 159.0
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Course:
     head: Array  # (T, 3) yaw, pitch, roll, radians
     wrists: Array  # (T, 2, 3) right and left, units about the neck at rest
     angle: Array  # (T, 2) direction of the fingers, radians from x towards y
-    turn: Array  # (T, 2) see `limbs.hand`
+    turn: Array  # (T, 2) see `hand.Hand`
     fore: Array  # (T, 2)
     shape: Array  # (T, 2, 6)
     face: Array  # (T, 4) eyelids, brows, mouth gap, mouth width

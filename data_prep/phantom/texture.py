@@ -44,7 +44,7 @@ def _leaves(rng: np.random.Generator) -> Array:
             for dy in (0, TILE, 2 * TILE):
                 centre = (int(x) + dx, int(y) + dy)
                 cv2.ellipse(tile, centre, axes, angle, 0, 360, (255,), -1, cv2.LINE_AA)
-    return tile[TILE : 2 * TILE, TILE : 2 * TILE].astype(np.float32) / 255
+    return tile[TILE : 2 * TILE, TILE : 2 * TILE].astype(np.float32) / np.float32(255)
 
 
 def _pattern(rng: np.random.Generator, kind: str) -> Array:

@@ -32,8 +32,8 @@ TILE_DENSITY = 1.7
 
 def _outline(look: Look) -> Array:
     s, g = look.shoulders, look.girth
-    half = [(0, -14), (17, -15), (28, -6), (s * 0.66, 1), (s + 2, 6), (s + 14, 20)]
-    half += [(s + 13, 38), (s - 1, 64), (s - 9, 96), (66 * g, 150), (68 * g, 200), (72 * g, 252)]
+    half = [(0, -14), (17, -15), (28, -6), (s * 0.66, 1), (s + 2, 6), (s + 16, 20)]
+    half += [(s + 16, 38), (s + 2, 64), (s - 9, 96), (66 * g, 150), (68 * g, 200), (72 * g, 252)]
     return smooth(mirrored([*half, (0, 256)]))
 
 
@@ -50,12 +50,12 @@ def _skin(look: Look, place: Setting) -> Array:
     relief = relief - 4 * bump(x, y, 0, 2, 4, 4)
     shade = 1 - 0.52 / (1 + np.exp((y + 19 - 0.006 * x * x) / 4.0))
     light = lambert(relief.astype(np.float32), place.light, 0.5) * shade
-    cover(sprite, np.clip(tinted(look.skin, light * 0.97), 0, 1), mask)
+    cover(sprite, np.clip(tinted(look.skin, (light * 0.97).astype(np.float32)), 0, 1), mask)
     return sprite
 
 
-def _neckline(garment: str, width: float) -> Array | None:
-    """What the garment leaves free at the neck, a polygon, or None for a closed collar."""
+def _neckline(garment: str, width: float) -> Array:
+    """What the garment leaves free at the neck, a polygon (n, 2)."""
     if garment == "tee":
         return smooth(mirrored([(0, -40), (width + 5, -20), (width + 6, -4), (15, 11), (0, 15)]))
     if garment == "sweater":
@@ -65,7 +65,8 @@ def _neckline(garment: str, width: float) -> Array | None:
             [(-width - 7, -14), (-width - 4, -40), (width + 4, -40), (width + 7, -14), (0, 46)]
         )
     deep = 96 if garment == "blazer" else 10
-    return np.array([(-width, -18), (-width, -40), (width, -40), (width, -18), (0, deep)])
+    corners = [(-width, -18), (-width, -40), (width, -40), (width, -18), (0, deep)]
+    return np.array(corners, np.float32)
 
 
 def _folds(rng: np.random.Generator, look: Look) -> Array:
@@ -118,7 +119,7 @@ def _buttons(sprite: Array, top: float, bottom: float, step: float, colour: NDAr
     for centre in np.arange(top, bottom, step):
         radius = np.hypot(x, y - centre)
         darken(sprite, np.clip(2.9 - radius, 0, 1), 0.4)
-        cover(sprite, colour, np.clip((2.1 - radius) * 2, 0, 1) * 0.9)
+        cover(sprite, colour, (np.clip((2.1 - radius) * 2, 0, 1) * 0.9).astype(np.float32))
 
 
 def _lapels(sprite: Array, tile: Array, light: Array) -> None:
