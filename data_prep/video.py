@@ -23,6 +23,7 @@ _ROUNDING = 1.5e-3
 """Seconds by which containers round timestamps (Matroska keeps milliseconds)."""
 
 _BT709, _UNSPECIFIED, _BT601 = 1, 2, 5
+_LIMITED_RANGE, _FULL_RANGE = 1, 2
 _HD_HEIGHT = 720
 
 
@@ -88,11 +89,15 @@ class _ToRgb:
         matrix = int(frame.colorspace)
         if matrix in (0, _UNSPECIFIED):
             matrix = _BT709 if frame.height >= _HD_HEIGHT else _BT601
+        full = int(frame.color_range) == _FULL_RANGE or frame.format.name.startswith("yuvj")
         rgb = self._reformatter.reformat(
             frame,
             width=_square_pixel_width(self._stream, frame.width),
             format="rgb24",
             src_colorspace=matrix,
+            dst_colorspace=_BT601,  # none for RGB; it must only be told apart from the source's
+            src_color_range=_FULL_RANGE if full else _LIMITED_RANGE,
+            dst_color_range=_FULL_RANGE,
         ).to_ndarray()
         turns = _quarter_turns(frame)
         return np.ascontiguousarray(np.rot90(rgb, turns)) if turns else rgb

@@ -1,5 +1,6 @@
 """Videos: written as players expect them, read at a constant rate, sound and picture in step."""
 
+import struct
 import threading
 from fractions import Fraction
 from pathlib import Path
@@ -98,6 +99,37 @@ def test_colours_are_bt709_and_come_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(read[16, 16::32].astype(int), colours, atol=4)
 
 
+@pytest.mark.parametrize(
+    ("tags", "height", "matrix", "full"),
+    [
+        ({"colorspace": "bt709", "color_range": "pc"}, 64, (0.2126, 0.7152, 0.0722), True),
+        ({"colorspace": "smpte170m", "color_range": "tv"}, 64, (0.299, 0.587, 0.114), False),
+        ({}, 64, (0.299, 0.587, 0.114), False),
+        ({}, 720, (0.2126, 0.7152, 0.0722), False),
+    ],
+)
+def test_colours_follow_the_tags(
+    tmp_path: Path, tags: dict[str, str], height: int, matrix: tuple[float, ...], full: bool
+) -> None:
+    red, _, blue = matrix
+    colour = np.array([200, 90, 40])
+    luma = float(np.dot(matrix, colour))
+    chroma = ((colour[2] - luma) / (2 - 2 * blue), (colour[0] - luma) / (2 - 2 * red))
+    planes = np.zeros((height * 3 // 2, 64), np.uint8)
+    planes[:height] = round(luma if full else 16 + luma * 219 / 255)
+    for part, value in zip(np.split(planes[height:], 2), chroma, strict=True):
+        part[:] = round(128 + (value if full else value * 224 / 255))
+    path = tmp_path / "a.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=25, options={"crf": "1", **tags})
+        stream.width, stream.height, stream.pix_fmt = 64, height, "yuv420p"
+        frame = av.VideoFrame.from_ndarray(planes, "yuv420p")
+        frame.pts, frame.time_base = 0, Fraction(1, 25)
+        container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    np.testing.assert_allclose(next(read_frames(path))[32, 32].astype(int), colour, atol=4)
+
+
 def test_writer_refuses_wrong_frames_and_sizes(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="even"):
         VideoWriter(tmp_path / "a.mp4", (63, 64))
@@ -186,6 +218,27 @@ def test_pictures_that_start_late_are_aligned_by_origin(tmp_path: Path) -> None:
     heard = read_sound(path, origin=info.start)
     assert seen == [15]
     assert abs(int(np.argmax(np.abs(heard))) - 15 * 640) < 40
+
+
+@pytest.mark.parametrize(("turn", "bright"), [((0, 1, -1, 0), "top"), ((0, -1, 1, 0), "bottom")])
+def test_rotation_of_a_phone_is_applied(tmp_path: Path, turn: tuple[int, ...], bright: str) -> None:
+    picture = np.full((48, 64, 3), 40, np.uint8)
+    picture[:, :32] = 200
+    with VideoWriter(tmp_path / "a.mp4", (64, 48)) as writer:
+        writer.write(picture)
+    data = bytearray((tmp_path / "a.mp4").read_bytes())
+    # The track header's matrix (a b u, c d v, x y w) begins 40 bytes after its name and flags;
+    # (0 1, -1 0) shows the picture turned clockwise by a quarter.
+    place = data.index(b"tkhd") + 4 + 40
+    a, b, c, d = (value * 0x10000 for value in turn)
+    data[place : place + 20] = struct.pack(">5i", a, b, 0, c, d)
+    (tmp_path / "a.mp4").write_bytes(data)
+    info = probe(tmp_path / "a.mp4")
+    assert (info.width, info.height) == (48, 64)
+    frame = next(read_frames(tmp_path / "a.mp4"))
+    assert frame.shape == (64, 48, 3)
+    half = frame[:28] if bright == "top" else frame[36:]
+    assert half.min() > 180 and np.sort(frame.mean(axis=(1, 2)))[0] < 60
 
 
 def test_probe_tells_what_the_file_holds(tmp_path: Path) -> None:
