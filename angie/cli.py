@@ -1,10 +1,13 @@
 """The `angie` command."""
 
+import os
 import sys
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
-import typer
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # spinning threads starve a shared machine
+
+import typer  # noqa: E402
 
 from angie import __version__
 from data_prep.errors import BadInput
@@ -31,12 +34,12 @@ def animate(
     audio: Annotated[Path, typer.Argument(help="Any recording, or a video with sound.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The mp4 to write.")],
     speaker: Annotated[
-        Optional[Path], typer.Option(help="Speaker bundle; without it the shipped one.")
+        Path | None, typer.Option(help="Speaker bundle; without it the shipped one.")
     ] = None,
     seed: Seed = 0,
     device: Device = "auto",
     crop: Annotated[
-        Optional[str], typer.Option(help="Square of the photo: x,y,size in pixels.")
+        str | None, typer.Option(help="Square of the photo: x,y,size in pixels.")
     ] = None,
     scale_motion: Annotated[
         str, typer.Option(help="none, or hull: scale gestures to the person's size.")
@@ -96,7 +99,7 @@ def phantom(
 ) -> None:
     """Write raw videos of the phantom speaker: procedural presenters whose truth is known."""
     from data_prep.output import whole_folder
-    from data_prep.phantom import make_phantom
+    from data_prep.phantom.make import make_phantom
 
     with whole_folder(output, force=force) as part:
         videos = make_phantom(
@@ -110,10 +113,10 @@ def prepare(
     videos: Annotated[list[Path], typer.Argument(help="Videos, or folders of videos.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the dataset.")],
     speaker: Annotated[
-        Optional[str], typer.Option(help="Name of the speaker; without it the folder's name.")
+        str | None, typer.Option(help="Name of the speaker; without it the folder's name.")
     ] = None,
     crop: Annotated[
-        Optional[str], typer.Option(help="Square of the picture: x,y,size in pixels.")
+        str | None, typer.Option(help="Square of the picture: x,y,size in pixels.")
     ] = None,
     jobs: Jobs = 0,
     force: Force = False,
@@ -130,13 +133,13 @@ def prepare(
 def train(
     dataset: Annotated[Path, typer.Argument(help="Folder that angie prepare made.")],
     settings: Annotated[
-        Optional[list[str]], typer.Argument(help="key=value, or YAML files with such.")
+        list[str] | None, typer.Argument(help="key=value, or YAML files with such.")
     ] = None,
     output: Annotated[
-        Optional[Path], typer.Option("--output", "-o", help="Folder of the speaker bundle.")
+        Path | None, typer.Option("--output", "-o", help="Folder of the speaker bundle.")
     ] = None,
     preset: Annotated[
-        Optional[str], typer.Option(help="paper, lite or tiny; lite for a new bundle.")
+        str | None, typer.Option(help="paper, lite or tiny; lite for a new bundle.")
     ] = None,
     stage: Annotated[str, typer.Option(help="renderer, motion, vq, gpt, refiner or all.")] = "all",
     resume: Annotated[bool, typer.Option("--resume", help="Go on after an interruption.")] = False,
@@ -177,7 +180,7 @@ def train(
 @app.command()
 def info(
     bundle: Annotated[
-        Optional[Path], typer.Argument(help="Speaker bundle; without it the shipped one.")
+        Path | None, typer.Argument(help="Speaker bundle; without it the shipped one.")
     ] = None,
 ) -> None:
     """Tell what a speaker bundle holds and what it was trained on."""

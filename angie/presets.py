@@ -139,12 +139,13 @@ def parse_overrides(arguments: list[str]) -> dict[str, Any]:
     """
     result: dict[str, Any] = {}
     for argument in arguments:
-        key, equals, value = argument.partition("=")
+        key, equals, text = argument.partition("=")
         try:
             if equals:
+                value = yaml.safe_load(text)
                 for name in reversed(key.strip().split(".")):
-                    value = {name: yaml.safe_load(value) if isinstance(value, str) else value}
-                _merge(result, value)  # type: ignore[arg-type]
+                    value = {name: value}
+                _merge(result, value)
             elif Path(argument).suffix in (".yaml", ".yml"):
                 loaded = yaml.safe_load(Path(argument).read_text())
                 if not isinstance(loaded, dict):

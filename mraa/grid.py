@@ -77,6 +77,4 @@ def resize_map(image: Tensor, height: int, width: int, *, align_corners: bool) -
     """Bilinear resize of a map such as the occlusion: (B, C, h, w) to (B, C, height, width)."""
     if image.shape[2:] == (height, width):
         return image
-    return F.interpolate(
-        image, size=(height, width), mode="bilinear", align_corners=align_corners
-    )
+    return F.interpolate(image, size=(height, width), mode="bilinear", align_corners=align_corners)

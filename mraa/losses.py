@@ -46,14 +46,15 @@ class Vgg(nn.Module):
         convs: tuple[int, ...] = VGG19_CONVS,
     ) -> None:
         super().__init__()
-        groups, channels = [], 3
+        channels = 3
+        self.groups: list[list[nn.Conv2d]] = []
         for width, count in zip(widths, (*convs[:-1], 1), strict=True):
-            group = nn.ModuleList()
+            group = []
             for _ in range(count):
                 group.append(nn.Conv2d(channels, width, 3, padding=1))
                 channels = width
-            groups.append(group)
-        self.groups = nn.ModuleList(groups)
+            self.groups.append(group)
+        self.convs = nn.ModuleList(conv for group in self.groups for conv in group)
         self.register_buffer("mean", torch.tensor([0.485, 0.456, 0.406]).view(1, 3, 1, 1))
         self.register_buffer("std", torch.tensor([0.229, 0.224, 0.225]).view(1, 3, 1, 1))
         self.requires_grad_(False)
@@ -93,8 +94,9 @@ def load_vgg19(path: Path) -> Vgg:
         for index, group in enumerate(vgg.groups):
             for number, conv in enumerate(group):
                 at = position + 2 * number
-                conv.weight.copy_(state[f"features.{at}.weight"])
-                conv.bias.copy_(state[f"features.{at}.bias"])
+                conv.load_state_dict(
+                    {name: state[f"features.{at}.{name}"] for name in ("weight", "bias")}
+                )
             position += 2 * VGG19_CONVS[index] + 1
     except Exception as error:  # any damaged or foreign file ends here
         raise BadInput(f"{path}: not a VGG19 state dict ({error})") from error
@@ -121,10 +123,9 @@ def random_vgg(width: int = 64, seed: int = 0) -> Vgg:
     with torch.no_grad():
         for index, group in enumerate(vgg.groups):
             conv = group[0]
-            assert isinstance(conv, nn.Conv2d) and conv.bias is not None
             weight = torch.randn(conv.weight.shape, generator=generator)
             conv.weight.copy_(weight - weight.mean(dim=(1, 2, 3), keepdim=True) * 0.5)
-            conv.bias.zero_()
+            nn.init.zeros_(conv.bias)  # type: ignore[arg-type]
             x = F.max_pool2d(x, 2) if index else x
             conv.weight.div_(F.relu(conv(x)).std())
             x = F.relu(conv(x))
@@ -170,9 +171,7 @@ class PerceptualPyramid(nn.Module):
         total = prediction.new_zeros(())
         predictions = image_pyramid(prediction, self.downs)
         truths = image_pyramid(truth, self.downs)
-        for scale, small, small_truth in zip(
-            PYRAMID_SCALES, predictions, truths, strict=True
-        ):
+        for scale, small, small_truth in zip(PYRAMID_SCALES, predictions, truths, strict=True):
             if scale not in self.scales:
                 continue
             with torch.no_grad():
@@ -213,9 +212,7 @@ def equivariance(regions: Regions, transformed: Regions, transform: ThinPlate) -
         transform: W.
     """
     shift = (regions.shift - transform.points(transformed.shift)).abs().mean()
-    product = (
-        inverse(regions.affine) @ transform.jacobian(transformed.shift) @ transformed.affine
-    )
+    product = inverse(regions.affine) @ transform.jacobian(transformed.shift) @ transformed.affine
     identity = torch.eye(2, device=product.device)
     return Equivariance(shift, (identity - fix_sign(product)).abs().mean())
 

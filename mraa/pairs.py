@@ -47,8 +47,8 @@ class FramePairs:
     def draw(self, index: int, random: np.random.Generator) -> Tensor:
         """A pair of clip `index`: (2, H, W, 3) uint8, source first."""
         store = self.dataset.frames(self.clips[index])
-        first, second = sorted(random.choice(len(store), size=2, replace=len(store) < 2))
-        pair = np.stack([store[int(first)], store[int(second)]])
+        first, second = sorted(random.choice(len(store), size=2, replace=len(store) < 2).tolist())
+        pair = np.stack([store[first], store[second]])
         return torch.from_numpy(augment(pair, self.augmentation, random))
 
 
@@ -73,14 +73,14 @@ def _zoom(pair: np.ndarray, part: float, random: np.random.Generator) -> np.ndar
 
 def _jitter(pair: np.ndarray, how: Augmentation, random: np.random.Generator) -> np.ndarray:
     """Brightness, contrast, saturation and hue in random order, on float32 in [0, 1]."""
-    image = pair.reshape(-1, pair.shape[2], 3).astype(np.float32) / 255  # frames stacked in y
+    image: np.ndarray = (
+        pair.reshape(-1, pair.shape[2], 3).astype(np.float32) / 255
+    )  # frames stacked in y
 
     def factor(amount: float) -> np.float32:
         return np.float32(random.uniform(1 - amount, 1 + amount))
 
-    brightness, contrast, saturation = map(
-        factor, (how.brightness, how.contrast, how.saturation)
-    )
+    brightness, contrast, saturation = map(factor, (how.brightness, how.contrast, how.saturation))
     turn = 360 * random.uniform(-how.hue, how.hue)
     for kind in random.permutation(4):
         if kind == 0:
@@ -96,5 +96,5 @@ def _jitter(pair: np.ndarray, how: Augmentation, random: np.random.Generator) ->
             hsv = cv2.cvtColor(image, cv2.COLOR_RGB2HSV)
             hsv[..., 0] = (hsv[..., 0] + turn) % 360
             image = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)
-        image = np.clip(image, 0, 1, dtype=np.float32)
+        image = np.clip(image, 0, 1).astype(np.float32)
     return np.round(image * 255).astype(np.uint8).reshape(pair.shape)

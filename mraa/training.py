@@ -97,9 +97,9 @@ def train_renderer(
         1, training.epochs * training.repeats * len(clips) // training.batch
     )
     run = Run(folder, "renderer", steps=steps, seed=seed, config=run_config, resume=resume)
-    renderer = Renderer(config).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    optimizer = torch.optim.Adam(renderer.parameters(), lr=training.rate, betas=training.betas)
-    objective, optimizer = run.setup(_Objective(renderer, training), optimizer)
+    renderer = Renderer(config).to(memory_format=torch.channels_last)
+    adam = torch.optim.Adam(renderer.parameters(), lr=training.rate, betas=training.betas)
+    objective, optimizer = run.setup(_Objective(renderer, training), adam)
     perceptual = PerceptualPyramid(
         training.perceptual_weights,
         training.perceptual_width,
@@ -129,8 +129,6 @@ def train_renderer(
             affine=terms["affine"],
             l1=(prediction - driving).abs().mean(),
         )
-        if run.fabric.global_rank == 0 and (
-            step % training.sheet_every == 0 or step + 1 == steps
-        ):
+        if run.fabric.global_rank == 0 and (step % training.sheet_every == 0 or step + 1 == steps):
             write_sheet(run.folder / "sheets" / f"{step:07d}.png", renderer, source, driving)
     return renderer.cpu().eval()

@@ -75,9 +75,7 @@ def test_region_heatmap_is_one_at_the_centre_and_falls_by_the_covariance():
 
 @pytest.mark.parametrize("design", ["paper", "lite"])
 def test_shapes_and_ranges(design):
-    config = RendererConfig(
-        **{**vars(SMALL), "generator": GeneratorConfig(design, 16, 32, 2, 1)}
-    )
+    config = RendererConfig(**{**vars(SMALL), "generator": GeneratorConfig(design, 16, 32, 2, 1)})
     renderer = Renderer(config).eval()
     image = torch.rand(2, 3, 64, 64)
     regions = renderer.estimator(image)

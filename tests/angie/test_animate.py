@@ -1,0 +1,114 @@
+import av
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from angie.animate import animate, scale_displacement, source_pose
+from angie.bundle import Bundle
+from angie.motion import Motion
+from data_prep.phantom.make import recording, still
+from data_prep.rates import SAMPLE_RATE
+from data_prep.sound import read_sound, write_wav
+from data_prep.speaker import Crop, find_faces, speaker_crop
+from data_prep.video import read_frames
+from mraa.renderer import from_pixels
+
+
+@pytest.fixture(scope="module")
+def photo(tmp_path_factory):
+    path = tmp_path_factory.mktemp("photo") / "photo.png"
+    Image.fromarray(still(0, seed=5)).save(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def speech(tmp_path_factory):
+    path = tmp_path_factory.mktemp("speech") / "speech.wav"
+    talk = recording(0, seconds=3.0, seed=5)
+    samples = talk.samples[: int(2.5 * talk.rate) + 100]
+    write_wav(path, samples, talk.rate)
+    return path
+
+
+def make(photo, speech, path, bundle, **options):
+    return animate(photo, speech, path, Bundle.open(bundle.folder), **options)
+
+
+@pytest.fixture(scope="module")
+def video(photo, speech, bundle, tmp_path_factory):
+    path = tmp_path_factory.mktemp("video") / "out.mp4"
+    return make(photo, speech, path, bundle)
+
+
+def frames_of(path):
+    return np.stack(list(read_frames(path)))
+
+
+def test_the_video_meets_the_contract(video, speech):
+    samples = read_sound(speech)
+    wanted = -(-len(samples) // 640)
+    assert video.frames == wanted
+    with av.open(str(video.path)) as file:
+        picture, sound = file.streams.video[0], file.streams.audio[0]
+        assert (picture.codec_context.name, sound.codec_context.name) == ("h264", "aac")
+        assert picture.codec_context.pix_fmt == "yuv420p"
+        assert (picture.width, picture.height) == (256, 256)
+        assert picture.average_rate == 25 and picture.frames == wanted
+        assert picture.start_time == 0
+        seconds = float(picture.duration * picture.time_base)
+        heard = float((sound.start_time + sound.duration) * sound.time_base)
+        assert abs(seconds - heard) <= 0.04
+        assert "generated" in file.metadata["comment"]
+        times = [float(frame.pts * frame.time_base) for frame in file.decode(picture)]
+    np.testing.assert_allclose(times, np.arange(wanted) / 25, atol=1e-4)
+    head = video.path.read_bytes()[:4096]
+    assert head.index(b"moov") < 4096  # faststart: the index comes before the data
+
+
+def test_sound_is_whole_and_in_place(video, speech):
+    original, heard = read_sound(speech), read_sound(video.path)
+    assert abs(len(heard) - len(original)) <= 1024
+    n = min(len(original), len(heard))
+    spectrum = np.fft.rfft(original[:n], 2 * n).conj() * np.fft.rfft(heard[:n], 2 * n)
+    lag = int(np.fft.irfft(spectrum).argmax())
+    assert min(lag, 2 * n - lag) <= SAMPLE_RATE // 1000
+
+
+def test_the_first_frame_is_the_photo_and_later_ones_move(video, photo):
+    frames = frames_of(video.path).astype(int)
+    image = np.asarray(Image.open(photo))
+    crop = speaker_crop(find_faces(image)[0], *image.shape[:2])
+    assert video.crop == crop
+    assert np.abs(frames[1:] - frames[0]).mean() > 0.3
+
+
+def test_same_seed_same_video_other_seed_other(photo, speech, bundle, tmp_path, video):
+    again = make(photo, speech, tmp_path / "again.mp4", bundle)
+    other = make(photo, speech, tmp_path / "other.mp4", bundle, seed=1)
+    first = frames_of(video.path)
+    assert np.array_equal(first, frames_of(again.path))
+    assert not np.array_equal(first, frames_of(other.path))
+
+
+def test_a_given_crop_is_used(photo, speech, bundle, tmp_path):
+    result = make(photo, speech, tmp_path / "crop.mp4", bundle, crop=Crop(100, 0, 300))
+    assert result.crop == Crop(100, 0, 300)
+
+
+def test_hull_scaling_scales_displacements_by_size(bundle, photo):
+    statistics = bundle.generator().statistics
+    rest = Motion.from_vector(statistics.rest.mean(0, keepdim=True))
+    pose = Motion(rest.shift * 0.5, rest.cholesky)
+    motion = Motion(pose.shift + 0.1, pose.cholesky)
+    scaled = scale_displacement(motion, pose, statistics)
+    torch.testing.assert_close(scaled.shift - pose.shift, torch.full_like(pose.shift, 0.05))
+
+
+def test_source_pose_is_the_estimators(bundle, photo):
+    renderer = bundle.renderer()
+    picture = from_pixels(torch.zeros(1, 256, 256, 3, dtype=torch.uint8))
+    pose = source_pose(renderer, picture)
+    regions = renderer.estimator(picture)
+    torch.testing.assert_close(pose.shift, regions.shift)
+    torch.testing.assert_close(pose.covariance(), regions.covariance, atol=1e-6, rtol=0)

@@ -1,0 +1,119 @@
+import dataclasses
+import json
+import shutil
+
+import pytest
+import torch
+
+from angie.bundle import UPSTREAM, Bundle, halve, load_weights
+from angie.presets import preset
+from angie.summary import describe
+from angie.training import train
+from data_prep.errors import BadInput
+
+
+@pytest.fixture
+def copy(bundle, tmp_path):
+    """A copy of the trained bundle that a test may damage."""
+    folder = tmp_path / "bundle"
+    shutil.copytree(bundle.folder, folder, ignore=shutil.ignore_patterns("train"))
+    return folder
+
+
+def test_every_part_is_there_and_says_what_it_was_trained_on(copy):
+    bundle = Bundle.open(copy)
+    manifest = json.loads((copy / "bundle.json").read_text())
+    assert all(bundle.has(part) for part in UPSTREAM)
+    assert manifest["parts"]["gpt"]["upstream"]["vq"] == manifest["parts"]["vq"]["sha256"]
+    assert manifest["config"] == json.loads(json.dumps(dataclasses.asdict(bundle.preset)))
+    report = manifest["parts"]["renderer"]["report"]
+    assert report["perceptual"] == "random_vgg+lap" and report["minutes"] > 0
+    text = describe(bundle)
+    assert "adam, bella" in text and "PSNR" in text
+
+
+def test_parts_load_in_evaluation_mode(copy):
+    bundle = Bundle.open(copy)
+    generator, renderer = bundle.generator(), bundle.renderer()
+    assert not renderer.training and not generator.gpt.training
+    assert not any(p.requires_grad for p in renderer.parameters())
+
+
+def test_a_changed_file_is_refused(copy):
+    data = bytearray((copy / "vq.safetensors").read_bytes())
+    data[-1] ^= 1
+    (copy / "vq.safetensors").write_bytes(data)
+    with pytest.raises(BadInput, match="wrong hash"):
+        Bundle.open(copy).generator()
+
+
+def test_a_missing_part_is_named(copy):
+    (copy / "gpt.safetensors").unlink()
+    with pytest.raises(BadInput, match="gpt.safetensors: missing"):
+        Bundle.open(copy).generator()
+    assert "UNUSABLE" in describe(Bundle.open(copy))
+
+
+def test_a_newer_format_is_refused(copy):
+    manifest = json.loads((copy / "bundle.json").read_text())
+    manifest["format"] += 1
+    (copy / "bundle.json").write_text(json.dumps(manifest))
+    with pytest.raises(BadInput, match="update angie"):
+        Bundle.open(copy)
+
+
+def test_a_part_trained_on_another_renderer_is_refused(copy):
+    bundle = Bundle.open(copy)
+    tensors = {
+        k: v + 1 if v.is_floating_point() else v for k, v in bundle.renderer().state_dict().items()
+    }
+    bundle.add("renderer", tensors, {})
+    assert not bundle.has("vq")
+    with pytest.raises(BadInput, match="trained on another renderer"):
+        Bundle.open(copy).generator()
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 1}', '{"format": "x"}'])
+def test_a_damaged_manifest_is_one_line(copy, text):
+    (copy / "bundle.json").write_text(text)
+    with pytest.raises(BadInput) as error:
+        Bundle.open(copy)
+    assert "\n" not in str(error.value)
+
+
+def test_half_precision_loads_into_float32():
+    layer = torch.nn.Linear(3, 2)
+    stored = halve(layer.state_dict())
+    assert stored["weight"].dtype == torch.float16 and stored["bias"].dtype == torch.float32
+    other = torch.nn.Linear(3, 2)
+    load_weights(other, stored)
+    torch.testing.assert_close(other.weight, layer.weight, atol=1e-3, rtol=0)
+
+
+def test_training_refuses_to_overwrite(dataset, copy, tmp_path):
+    with pytest.raises(BadInput, match="--resume or start anew with --force"):
+        train(dataset.path, copy)
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "note.txt").write_text("mine")
+    with pytest.raises(BadInput, match="holds other files"):
+        train(dataset.path, other, preset=preset("tiny"))
+    assert (other / "note.txt").exists()
+
+
+def test_training_tells_wrong_arguments(dataset, copy, tmp_path):
+    with pytest.raises(BadInput, match="--stage"):
+        train(dataset.path, tmp_path / "new", stage="everything")
+    with pytest.raises(BadInput, match="no dataset"):
+        train(tmp_path, tmp_path / "new")
+    with pytest.raises(BadInput, match="made with --preset tiny"):
+        train(dataset.path, copy, preset=preset("lite"), resume=True)
+    with pytest.raises(BadInput, match="has no renderer"):
+        train(dataset.path, tmp_path / "new", preset=preset("tiny"), stage="vq")
+
+
+def test_resume_keeps_finished_stages(dataset, bundle, capsys):
+    before = {part: bundle.hash_of(part) for part in UPSTREAM}
+    again = train(dataset.path, bundle.folder, resume=True)
+    assert {part: again.hash_of(part) for part in UPSTREAM} == before
+    assert capsys.readouterr().err.count("done before") == 5

@@ -1,0 +1,133 @@
+"""The command: bad input is one line and exit status 2, and leaves nothing behind."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from angie.cli import main
+from data_prep.phantom.make import still
+from data_prep.sound import write_wav
+from data_prep.video import VideoWriter
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("inputs")
+    Image.fromarray(still(0, seed=5)).save(folder / "photo.png")
+    write_wav(folder / "speech.wav", 0.1 * np.sin(np.arange(16_000) / 5), 16_000)
+    Image.fromarray(np.full((90, 90, 3), 90, np.uint8)).save(folder / "nobody.png")
+    (folder / "text.png").write_text("this is no picture")
+    (folder / "text.wav").write_text("this is no recording")
+    (folder / "empty.wav").touch()
+    (folder / "empty.png").touch()
+    with VideoWriter(folder / "silent.mp4", (64, 64)) as video:
+        for _ in range(10):
+            video.write(np.zeros((64, 64, 3), np.uint8))
+    (folder / "folder").mkdir()
+    return folder
+
+
+def call(capsys, *arguments):
+    """Exit status, standard output and standard error of `angie ARGUMENTS`."""
+    status = 0
+    old, sys.argv = sys.argv, ["angie", *map(str, arguments)]
+    try:
+        main()
+    except SystemExit as leave:
+        status = leave.code or 0
+    finally:
+        sys.argv = old
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+BAD = [
+    ("missing.png", "speech.wav", "no such file"),
+    ("photo.png", "missing.wav", "no such file"),
+    ("folder", "speech.wav", "is a folder"),
+    ("text.png", "speech.wav", "text.png"),
+    ("empty.png", "speech.wav", "empty.png"),
+    ("photo.png", "text.wav", "text.wav"),
+    ("photo.png", "empty.wav", "empty.wav"),
+    ("photo.png", "silent.mp4", "silent.mp4"),
+    ("nobody.png", "speech.wav", "--crop"),
+]
+
+
+@pytest.mark.parametrize(("photo", "speech", "words"), BAD)
+def test_bad_input_is_one_line(inputs, bundle, tmp_path, capsys, photo, speech, words):
+    before = sorted(inputs.iterdir())
+    status, out, err = call(
+        capsys,
+        *("animate", inputs / photo, inputs / speech),
+        *("-o", tmp_path / "out.mp4", "--speaker", bundle.folder),
+    )
+    assert status == 2 and out == ""
+    assert err.count("\n") == 1 and err.startswith("angie: ") and words in err
+    assert list(tmp_path.iterdir()) == [] and sorted(inputs.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["-o", "{tmp}/none/out.mp4"], "does not exist"),
+        (["-o", "{tmp}/taken.mp4"], "exists already"),
+        (["-o", "{tmp}/new.mp4", "--crop", "1,2"], "x,y,size"),
+        (["-o", "{tmp}/new.mp4", "--crop", "5000,0,100"], "outside"),
+        (["-o", "{tmp}/new.mp4", "--device", "cuda:99"], "--device"),
+        (["-o", "{tmp}/new.mp4", "--device", "tpu"], "--device"),
+        (["-o", "{tmp}/new.mp4", "--scale-motion", "twice"], "--scale-motion"),
+        (["-o", "{tmp}/new.mp4", "--speaker", "{tmp}"], "not a speaker bundle"),
+    ],
+)
+def test_bad_options_are_one_line(inputs, bundle, tmp_path, capsys, options, words):
+    (tmp_path / "taken.mp4").write_text("keep me")
+    options = [option.format(tmp=tmp_path) for option in options]
+    if "--speaker" not in options:
+        options += ["--speaker", str(bundle.folder)]
+    status, out, err = call(
+        capsys, "animate", inputs / "photo.png", inputs / "speech.wav", *options
+    )
+    assert status == 2 and out == "" and words in err and err.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["taken.mp4"]
+    assert (tmp_path / "taken.mp4").read_text() == "keep me"
+
+
+def test_animate_prints_its_result(inputs, bundle, tmp_path, capsys):
+    path = tmp_path / "out.mp4"
+    status, out, err = call(
+        capsys,
+        *("animate", inputs / "photo.png", inputs / "speech.wav"),
+        *("-o", path, "--speaker", bundle.folder),
+    )
+    assert status == 0 and err == ""
+    assert out == f"{path}: 25 frames, 1.00 s of sound\n"
+    assert [p.name for p in tmp_path.iterdir()] == ["out.mp4"]
+
+
+def test_info_of_a_bundle(bundle, capsys):
+    status, out, _ = call(capsys, "info", bundle.folder)
+    assert status == 0 and "preset    tiny: 10 regions" in out
+
+
+def test_prepare_and_train_tell_bad_input(tmp_path, capsys):
+    status, _, err = call(capsys, "prepare", tmp_path / "none.mp4", "-o", tmp_path / "data")
+    assert status == 2 and "none.mp4" in err
+    status, _, err = call(capsys, "train", tmp_path, "-o", tmp_path / "bundle")
+    assert status == 2 and "no dataset" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_usage_errors_exit_with_2(capsys):
+    status, _, err = call(capsys, "animate")
+    assert status == 2 and "PHOTO" in err
+
+
+def test_module_and_version():
+    result = subprocess.run(
+        [sys.executable, "-m", "angie", "--version"], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.startswith("angie 0.")

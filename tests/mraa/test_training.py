@@ -1,0 +1,117 @@
+import numpy as np
+import pytest
+import torch
+
+from data_prep.errors import BadInput
+from mraa.losses import PerceptualPyramid, Vgg, load_vgg19, random_vgg
+from mraa.pairs import Augmentation, FramePairs, augment
+from mraa.renderer import GeneratorConfig, HourglassConfig, RendererConfig
+from mraa.training import RendererTraining, train_renderer
+
+SMALL = RendererConfig(
+    regions=3,
+    estimator=HourglassConfig(4, 3, 16),
+    background=HourglassConfig(4, 3, 16),
+    background_scale=0.25,
+    flow=HourglassConfig(4, 3, 16),
+    generator=GeneratorConfig("lite", width=16, bottleneck_blocks=1),
+)
+
+
+def test_a_tiny_renderer_beats_copying_the_source(bundle):
+    score = bundle.manifest["parts"]["renderer"]["report"]["reconstruction"]
+    assert score["frames"] >= 10
+    assert score["psnr"] > score["copy_psnr"]
+    assert score["l1"] < score["copy_l1"]
+
+
+def test_resumed_training_is_the_uninterrupted_one(dataset, tmp_path):
+    def run(folder, steps, resume=False):
+        training = RendererTraining(
+            steps=steps, batch=2, perceptual_width=4, perceptual_scales=(0.25,), milestones=()
+        )
+        return train_renderer(dataset, SMALL, training, tmp_path / folder, resume=resume)
+
+    whole = run("whole", 4).state_dict()
+    run("parts", 2)
+    parts = run("parts", 4, resume=True).state_dict()
+    assert all(torch.equal(whole[k], parts[k]) for k in whole)
+    assert (tmp_path / "whole" / "sheets" / "0000003.png").stat().st_size > 10_000
+
+
+def test_pairs_are_frames_of_one_clip_in_order(dataset):
+    clips = dataset.clips("train")
+    still = Augmentation(0, 0, 0, 0, 0, 0)
+    pairs = FramePairs(dataset, clips, still)
+    store = dataset.frames(clips[0])
+    frames = np.stack([store[i] for i in range(len(store))])
+    for seed in range(5):
+        pair = pairs.draw(0, np.random.default_rng(seed)).numpy()
+        assert pair.shape == (2, 256, 256, 3) and pair.dtype == np.uint8
+        first, second = (int(np.abs(frames.astype(int) - f).sum((1, 2, 3)).argmin()) for f in pair)
+        assert first < second
+        assert np.abs(frames[first].astype(int) - pair[0]).max() <= 1  # rounding of the jitter
+
+
+def test_augmentation_treats_both_frames_alike():
+    frame = np.random.default_rng(0).integers(0, 256, (32, 32, 3), dtype=np.uint8)
+    pair = np.stack([frame, frame])
+    for seed in range(8):
+        made = augment(pair, Augmentation(zoom=0.3), np.random.default_rng(seed))
+        assert np.array_equal(made[0], made[1]) and made.shape == pair.shape
+
+
+def test_flips():
+    pair = np.zeros((2, 4, 4, 3), np.uint8)
+    pair[0, :, 0] = 200
+    how = Augmentation(1, 1, 0, 0, 0, 0)
+    made = augment(pair, how, np.random.default_rng(0))
+    assert made[1, 0, 3, 0] == 200 and made.sum() == pair.sum()
+
+
+def test_random_vgg_follows_from_its_seed_and_is_calibrated():
+    torch.manual_seed(1)
+    a = random_vgg(8)
+    torch.manual_seed(2)
+    b = random_vgg(8)
+    image = torch.rand(1, 3, 64, 64)
+    taps = a(image)
+    assert len(taps) == 5 and [t.shape[1] for t in taps] == [8, 16, 32, 64, 64]
+    assert all(torch.equal(x, y) for x, y in zip(taps, b(image), strict=True))
+
+
+def test_perceptual_distance_grows_with_the_difference():
+    loss = PerceptualPyramid(width=8)
+    image = torch.rand(1, 3, 64, 64)
+    near, far = (loss(image, (image + s * torch.randn_like(image))) for s in (0.02, 0.2))
+    assert float(loss(image, image)) == 0 < float(near) < float(far)
+
+
+def test_vgg19_from_a_local_file(tmp_path):
+    """The taps of a file in torchvision's naming are those of its own sequence of layers."""
+    torch.manual_seed(0)
+    layers, channels, taps = [], 3, []
+    for width, count in zip((64, 128, 256, 512, 512), (2, 2, 4, 4, 4), strict=True):
+        for number in range(count):
+            if number == 0:
+                taps.append(len(layers) + 1)
+            layers += [torch.nn.Conv2d(channels, width, 3, padding=1), torch.nn.ReLU()]
+            channels = width
+        layers.append(torch.nn.MaxPool2d(2))
+    features = torch.nn.Sequential(*layers)
+    path = tmp_path / "vgg19.pth"
+    torch.save({f"features.{k}": v for k, v in features.state_dict().items()}, path)
+    vgg = load_vgg19(path)
+    image = torch.rand(1, 3, 32, 32)
+    x = (image - vgg.mean) / vgg.std
+    for tap, ours in zip(taps, vgg(image), strict=True):
+        torch.testing.assert_close(features[: tap + 1](x), ours)
+
+
+def test_wrong_vgg_files_are_told(tmp_path):
+    with pytest.raises(BadInput, match="no such file"):
+        load_vgg19(tmp_path / "none.pth")
+    (tmp_path / "bad.pth").write_bytes(b"nothing")
+    with pytest.raises(BadInput, match="not a VGG19 state dict"):
+        load_vgg19(tmp_path / "bad.pth")
+    assert sum(p.requires_grad for p in Vgg().parameters()) == 0
