@@ -64,7 +64,7 @@ def _lite() -> Preset:
             affine_mode="sym",
         ),
         vq=VQConfig(width=64, code_width=64),
-        gpt=GPTConfig(width=128, heads=4, layers=6),
+        gpt=GPTConfig(width=128, heads=4, layers=4),
         refiner=RefinerConfig(sound=96, motion=64, hidden=64),
         generation=GenerationConfig(bounding="auto"),
         train_renderer=RendererTraining(
@@ -74,10 +74,10 @@ def _lite() -> Preset:
             perceptual_scales=(0.5, 0.25, 0.125),
             augmentation=Augmentation(zoom=0.15),
         ),
-        train_vq=VQTraining(schedule=Schedule(rate=3e-4, most_steps=6000)),
-        train_gpt=GPTTraining(schedule=Schedule(rate=3e-4, milestones=(250, 400), most_steps=4000)),
+        train_vq=VQTraining(schedule=Schedule(rate=1e-3, most_steps=2500)),
+        train_gpt=GPTTraining(schedule=Schedule(rate=3e-4, milestones=(250, 400), most_steps=1500)),
         train_refiner=RefinerTraining(
-            schedule=Schedule(rate=5e-4, betas=(0.9, 0.999), epochs=100, most_steps=3000)
+            schedule=Schedule(rate=5e-4, betas=(0.9, 0.999), epochs=100, most_steps=1500)
         ),
     )
 
@@ -106,7 +106,7 @@ def _tiny() -> Preset:
             perceptual_width=8,
             perceptual_scales=(0.5, 0.25, 0.125),
         ),
-        train_vq=VQTraining(schedule=Schedule(rate=1e-3, most_steps=300)),
+        train_vq=VQTraining(schedule=Schedule(rate=1e-3, most_steps=150)),
         train_gpt=GPTTraining(schedule=Schedule(rate=1e-3, most_steps=200), checks=10),
         train_refiner=RefinerTraining(
             schedule=Schedule(rate=2e-3, betas=(0.9, 0.999), most_steps=150), checks=10

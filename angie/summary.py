@@ -10,14 +10,14 @@ def describe(bundle: Bundle) -> str:
     """Several lines: preset, speakers, and each part with its state, data and score."""
     manifest = bundle.manifest
     lines = [
-        f"bundle    {bundle.folder}",
-        f"format    {manifest['format']}, made by angie {manifest['angie']}",
-        f"preset    {manifest['preset']}: {bundle.preset.renderer.regions} regions, "
+        f"bundle      {bundle.folder}",
+        f"format      {manifest['format']}, made by angie {manifest['angie']}",
+        f"preset      {manifest['preset']}: {bundle.preset.renderer.regions} regions, "
         f"{manifest['size']}x{manifest['size']} at {manifest['fps']} fps",
-        f"speakers  {', '.join(manifest['speakers']) or 'none yet'}",
+        f"speakers    {', '.join(manifest['speakers']) or 'none yet'}",
     ]
     for part in UPSTREAM:
-        lines.append(f"{part:<10}{_state(bundle, part)}")
+        lines.append(f"{part:<12}{_state(bundle, part)}")
     return "\n".join(lines)
 
 

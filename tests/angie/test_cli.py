@@ -110,7 +110,7 @@ def test_animate_prints_its_result(inputs, bundle, tmp_path, capsys):
 
 def test_info_of_a_bundle(bundle, capsys):
     status, out, _ = call(capsys, "info", bundle.folder)
-    assert status == 0 and "preset    tiny: 10 regions" in out
+    assert status == 0 and "preset      tiny: 10 regions" in out
 
 
 def test_prepare_and_train_tell_bad_input(tmp_path, capsys):
