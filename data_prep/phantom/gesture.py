@@ -64,7 +64,7 @@ TEMPLATES: dict[str, Template] = {
     "frame": Template((92, 66, 85), (50, 92, 115), "flat", (-80, -98), 0.2, 0.95, 2),
     "roll": Template((52, 74, 95), (50, 114, 108), "cup", (-140, -130), 0.4, 0.9, 2,
                      bulge=(44, 0, 25)),
-    "think": Template((84, 84, 75), (54, -34, 42), "point", (-100, -128), 0.7, 1.0),
+    "think": Template((84, 84, 75), (74, -32, 40), "point", (-100, -128), 0.7, 1.0),
     "here": Template((58, 72, 95), (54, 142, 105), "point", (-120, -250), 0.7, 0.95),
 }  # fmt: skip
 """Strokes by label."""
@@ -101,9 +101,10 @@ def _hands(template: Template, style: Style, rng: np.random.Generator) -> tuple[
     return (lead, 1 - lead) if template.hands == 2 else (lead,)
 
 
-def _choice(style: Style, rng: np.random.Generator) -> str:
+def _choice(style: Style, before: str, rng: np.random.Generator) -> str:
     weight = np.array([
         (4.0 if label in ("beat", "beats") else 1.0) * (3.0 if label in style.favourites else 1.0)
+        * (0.25 if label == before else 1.0)
         for label in FREE
     ])  # fmt: skip
     return str(rng.choice(FREE, p=weight / weight.sum()))
@@ -114,7 +115,7 @@ def _travel(a: Place, b: Place) -> float:
 
 
 def _stroke_time(template: Template, style: Style) -> float:
-    """Seconds from preparation to apex: 0.2 to 0.36, longer for longer paths."""
+    """Seconds from preparation to apex: 0.18 to 0.42, longer for longer paths."""
     path = _travel(template.prep, template.apex) + 0.8 * float(np.abs(template.bulge).sum())
     return float(np.clip((0.17 + 0.0016 * path) / style.quickness, 0.18, 0.42))
 
@@ -171,7 +172,8 @@ def schedule(speech: Speech, style: Style, rng: np.random.Generator) -> list[Str
             busy = called_next - beat < 0.75 or beat - max(free, start - 0.3) < 0.5
             if busy or rng.random() > style.tempo:
                 continue
-            label, called = _choice(style, rng), False
+            before = strokes[-1].label if strokes else ""
+            label, called = _choice(style, before, rng), False
         else:
             called = True
             while strokes and not strokes[-1].called and beat - strokes[-1].end < _SHORTEST:
