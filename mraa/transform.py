@@ -1,5 +1,6 @@
 """Random thin-plate transforms for the equivariance losses (FOMM, MRAA)."""
 
+import functools
 from dataclasses import dataclass
 
 import torch
@@ -28,17 +29,17 @@ class ThinPlate:
 
     def points(self, coordinates: Tensor) -> Tensor:
         """W of points (B, n, 2), (x, y) in [-1, 1]: (B, n, 2)."""
-        control = coordinate_grid(PLATE_POINTS, PLATE_POINTS, coordinates.device).view(1, -1, 2)
         linear = coordinates @ self.theta[:, :, :2].mT + self.theta[:, None, :, 2]
-        distance = (coordinates[:, :, None] - control[:, None]).abs().sum(-1)  # (B, n, 25)
-        radial = distance**2 * torch.log(distance + 1e-6)
-        return linear + (radial * self.coefficients).sum(-1, keepdim=True)
+        radial = _basis(coordinates) * self.coefficients  # (B, n, 25)
+        return linear + radial.sum(-1, keepdim=True)
 
     def image(self, image: Tensor, *, align_corners: bool) -> Tensor:
         """Image (B, C, H, W) seen through W, reflected at the borders."""
-        batch, _, height, width = image.shape
-        grid = coordinate_grid(height, width, image.device).view(1, -1, 2)
-        flow = self.points(grid.expand(batch, -1, -1)).view(batch, height, width, 2)
+        height, width = image.shape[2:]
+        grid = coordinate_grid(height, width, image.device)
+        linear = torch.einsum("hwj,bij->bhwi", grid, self.theta[:, :, :2])
+        radial = _grid_basis(height, width, image.device) @ self.coefficients[:, 0].T  # (hw, B)
+        flow = linear + self.theta[:, None, None, :, 2] + radial.T.view(-1, height, width, 1)
         return warp(image, flow, align_corners=align_corners, padding="reflection")
 
     def jacobian(self, coordinates: Tensor) -> Tensor:
@@ -52,6 +53,19 @@ class ThinPlate:
         slope = 2 * distance * torch.log(distance + 1e-6) + distance**2 / (distance + 1e-6)
         row = ((slope * self.coefficients)[..., None] * torch.sign(offset)).sum(2)  # (B, n, 2)
         return self.theta[:, None, :, :2] + row[:, :, None, :]
+
+
+def _basis(coordinates: Tensor) -> Tensor:
+    """Radial terms `d^2 log(d + 1e-6)`, d the L1 distance: (..., 2) to (..., 25)."""
+    control = coordinate_grid(PLATE_POINTS, PLATE_POINTS, coordinates.device).view(-1, 2)
+    distance = (coordinates[..., None, :] - control).abs().sum(-1)
+    return distance**2 * torch.log(distance + 1e-6)
+
+
+@functools.lru_cache(maxsize=4)
+def _grid_basis(height: int, width: int, device: torch.device) -> Tensor:
+    """Radial terms of every pixel, (height * width, 25): the same for every transform."""
+    return _basis(coordinate_grid(height, width, device).view(-1, 2))
 
 
 def random_thin_plate(batch: int, device: torch.device | None = None) -> ThinPlate:
