@@ -124,7 +124,9 @@ class Bundle:
                     "update angie"
                 )
             preset = override(Preset(), manifest["config"])
-            manifest["parts"].items()
+            known = {"file", "sha256", "upstream", "report"}
+            if any(entry.keys() != known for entry in manifest["parts"].values()):
+                raise BadInput("a part is not described in full")
         except BadInput as error:
             raise BadInput(f"{path}: {error}") from error
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

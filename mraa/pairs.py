@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from data_prep.dataset import Clip, Dataset
+from data_prep.rates import IMAGE_SIZE
 
 
 @dataclass(frozen=True)
@@ -35,20 +36,32 @@ class FramePairs:
         dataset: where the clips are.
         clips: those to draw from; an epoch meets each once.
         augmentation: applied to both frames alike.
+        size: of the pairs in pixels, if smaller than the frames.
     """
 
-    def __init__(self, dataset: Dataset, clips: list[Clip], augmentation: Augmentation) -> None:
+    def __init__(
+        self,
+        dataset: Dataset,
+        clips: list[Clip],
+        augmentation: Augmentation,
+        size: int = IMAGE_SIZE,
+    ) -> None:
         self.dataset, self.clips, self.augmentation = dataset, clips, augmentation
+        self.size = size
 
     def __len__(self) -> int:
         """Number of clips."""
         return len(self.clips)
 
     def draw(self, index: int, random: np.random.Generator) -> Tensor:
-        """A pair of clip `index`: (2, H, W, 3) uint8, source first."""
+        """A pair of clip `index`: (2, size, size, 3) uint8, source first."""
         store = self.dataset.frames(self.clips[index])
         first, second = sorted(random.choice(len(store), size=2, replace=len(store) < 2).tolist())
-        pair = np.stack([store[first], store[second]])
+        frames = [store[first], store[second]]
+        if self.size < IMAGE_SIZE:
+            small = (self.size, self.size)
+            frames = [cv2.resize(f, small, interpolation=cv2.INTER_AREA) for f in frames]
+        pair = np.stack(frames)
         return torch.from_numpy(augment(pair, self.augmentation, random))
 
 

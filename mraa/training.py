@@ -1,5 +1,6 @@
 """Training of the renderer: reconstruct one frame of a clip from another (MRAA, section 3.5)."""
 
+import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from data_prep.dataset import Dataset
+from data_prep.rates import IMAGE_SIZE
 from mraa.losses import PYRAMID_SCALES, PerceptualPyramid, equivariance_of
 from mraa.pairs import Augmentation, FramePairs
 from mraa.renderer import Renderer, RendererConfig, from_pixels
@@ -40,6 +42,10 @@ class RendererTraining:
     augmentation: Augmentation = field(default_factory=Augmentation)
     sheet_every: int = 500
     """Steps between sheets of samples."""
+    warmup_steps: int = 0
+    """Not in the paper: steps before the others on images reduced to `warmup_size`, which the
+    estimator and the flow predictor see at the same resolution as later; several times as fast."""
+    warmup_size: int = 128
 
 
 class _Objective(nn.Module):
@@ -96,8 +102,57 @@ def train_renderer(
     steps = training.steps or max(
         1, training.epochs * training.repeats * len(clips) // training.batch
     )
-    run = Run(folder, "renderer", steps=steps, seed=seed, config=run_config, resume=resume)
-    renderer = Renderer(config).to(memory_format=torch.channels_last)
+    renderer = Renderer(config)
+    how = {"seed": seed, "run_config": run_config, "resume": resume}
+    if training.warmup_steps:
+        small = RendererStage("warmup", training.warmup_steps, training.warmup_size, ())
+        taught = Renderer(reduced(config, training.warmup_size))
+        _train(dataset, taught, training, folder, small, **how)
+        take_weights(renderer, taught)
+    milestones = tuple(round(part * steps) for part in training.milestones)
+    full = RendererStage("renderer", steps, IMAGE_SIZE, milestones)
+    _train(dataset, renderer, training, folder, full, **how)
+    return renderer.cpu().eval()
+
+
+@dataclass(frozen=True)
+class RendererStage:
+    """One course of training: name, steps, image size, steps at which the rate falls."""
+
+    name: str
+    steps: int
+    size: int
+    milestones: tuple[int, ...]
+
+
+def reduced(config: RendererConfig, size: int) -> RendererConfig:
+    """The renderer for images of `size` pixels whose hourglasses work at the same resolution."""
+    factor = IMAGE_SIZE / size
+    scales = ("estimator_scale", "flow_scale", "background_scale")
+    changed = {name: min(1.0, getattr(config, name) * factor) for name in scales}
+    return dataclasses.replace(config, **changed)
+
+
+def take_weights(renderer: Renderer, taught: Renderer) -> None:
+    """Copy all weights but the low-pass kernels, which depend on the image size."""
+    kept = {k: v for k, v in renderer.state_dict().items() if k.endswith("down.kernel")}
+    given = {k: v for k, v in taught.state_dict().items() if not k.endswith("down.kernel")}
+    renderer.load_state_dict({**kept, **given})
+
+
+def _train(
+    dataset: Dataset,
+    renderer: Renderer,
+    training: RendererTraining,
+    folder: Path,
+    stage: RendererStage,
+    *,
+    seed: int,
+    run_config: RunConfig | None,
+    resume: bool,
+) -> None:
+    run = Run(folder, stage.name, steps=stage.steps, seed=seed, config=run_config, resume=resume)
+    renderer.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     adam = torch.optim.Adam(renderer.parameters(), lr=training.rate, betas=training.betas)
     objective, optimizer = run.setup(_Objective(renderer, training), adam)
     perceptual = PerceptualPyramid(
@@ -106,10 +161,10 @@ def train_renderer(
         training.perceptual_scales,
         training.perceptual,
     ).to(run.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-    batches = run.batches(FramePairs(dataset, clips, training.augmentation), training.batch)
-    milestones = [round(part * steps) for part in training.milestones]
+    pairs = FramePairs(dataset, dataset.clips("train"), training.augmentation, stage.size)
+    batches = run.batches(pairs, training.batch)
     for step in run.steps():
-        run.rate(optimizer, training.rate, milestones)
+        run.rate(optimizer, training.rate, stage.milestones)
         pair = next(batches)  # (B, 2, H, W, 3) uint8
         source, driving = (
             from_pixels(x).contiguous(memory_format=torch.channels_last) for x in pair.unbind(1)
@@ -129,6 +184,7 @@ def train_renderer(
             affine=terms["affine"],
             l1=(prediction - driving).abs().mean(),
         )
-        if run.fabric.global_rank == 0 and (step % training.sheet_every == 0 or step + 1 == steps):
-            write_sheet(run.folder / "sheets" / f"{step:07d}.png", renderer, source, driving)
-    return renderer.cpu().eval()
+        last = step + 1 == stage.steps
+        if run.fabric.global_rank == 0 and (step % training.sheet_every == 0 or last):
+            path = folder / "sheets" / f"{stage.name}-{step:07d}.png"
+            write_sheet(path, renderer, source, driving)

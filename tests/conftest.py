@@ -13,6 +13,7 @@ from data_prep.phantom.make import make_phantom
 from data_prep.prepare import prepare
 
 FEW_STEPS = (
+    "train_renderer.steps=200",
     "train_vq.schedule.most_steps=40",
     "train_gpt.schedule.most_steps=30",
     "train_refiner.schedule.most_steps=20",
@@ -26,9 +27,9 @@ def two_threads():
 
 @pytest.fixture(scope="session")
 def phantom_videos(tmp_path_factory) -> Path:
-    """Two presenters, three quarters of a minute in all."""
+    """Two presenters, about half a minute in all."""
     folder = tmp_path_factory.mktemp("phantom") / "raw"
-    make_phantom(folder, minutes=0.75, seed=0, presenters=2, jobs=2)
+    make_phantom(folder, minutes=0.6, seed=0, presenters=2, jobs=2)
     return folder
 
 
@@ -42,7 +43,7 @@ def dataset(phantom_videos) -> Dataset:
 
 @pytest.fixture(scope="session")
 def bundle(dataset) -> Bundle:
-    """A tiny bundle trained through all stages: the renderer in full, the rest a few steps."""
+    """A tiny bundle trained through all stages: few steps, most for the renderer."""
     changes = parse_overrides(list(FEW_STEPS))
     return train(
         dataset.path, dataset.path.parent / "bundle", preset=override(preset("tiny"), changes)

@@ -108,7 +108,7 @@ def test_training_tells_wrong_arguments(dataset, copy, tmp_path):
         train(tmp_path, tmp_path / "new")
     with pytest.raises(BadInput, match="made with --preset tiny"):
         train(dataset.path, copy, preset=preset("lite"), resume=True)
-    with pytest.raises(BadInput, match="has no renderer"):
+    with pytest.raises(BadInput, match="run angie train --stage motion"):
         train(dataset.path, tmp_path / "new", preset=preset("tiny"), stage="vq")
 
 

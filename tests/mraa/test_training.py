@@ -36,7 +36,7 @@ def test_resumed_training_is_the_uninterrupted_one(dataset, tmp_path):
     run("parts", 2)
     parts = run("parts", 4, resume=True).state_dict()
     assert all(torch.equal(whole[k], parts[k]) for k in whole)
-    assert (tmp_path / "whole" / "sheets" / "0000003.png").stat().st_size > 10_000
+    assert (tmp_path / "whole" / "sheets" / "renderer-0000003.png").stat().st_size > 10_000
 
 
 def test_pairs_are_frames_of_one_clip_in_order(dataset):

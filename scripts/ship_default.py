@@ -1,0 +1,65 @@
+"""Put a trained bundle into the package as the default, with a phantom's photo and recording.
+
+    python scripts/ship_default.py BUNDLE
+
+Weights are rounded to half precision (they are computed with in float32), which halves the size.
+"""
+
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import soundfile
+from PIL import Image
+from safetensors.torch import load_file
+
+from angie.bundle import UPSTREAM, Bundle, halve
+from angie.demo import BUNDLE, PHOTO, SPEECH
+from data_prep.output import whole_folder
+from data_prep.phantom.make import recording, still
+
+PRESENTER, VIDEO = 1, 0
+"""Which phantom is shown, in clothes and at a place that the training videos do not have."""
+
+SEED = 7
+"""Of the photo and the recording; the training videos have another."""
+
+SECONDS = 12.0
+"""Length of the recording, about."""
+
+
+def ship_bundle(trained: Bundle, folder: Path) -> None:
+    """Copy the parts of a bundle in half precision, in order, so that the hashes chain."""
+    with whole_folder(folder, force=True) as part:
+        shipped = Bundle.create(part, trained.preset)
+        shipped.manifest["speakers"] = trained.manifest["speakers"]
+        shipped.manifest["crop"] = trained.manifest["crop"]
+        for name in UPSTREAM:
+            path = trained.path_of(name)
+            report = {**trained.manifest["parts"][name]["report"], "precision": "float16"}
+            if name == "statistics":
+                shutil.copy(path, part / path.name)
+                report["precision"] = "float32"
+                shipped.add(name, part / path.name, report)
+            else:
+                shipped.add(name, halve(load_file(path)), report)
+
+
+def main() -> None:
+    """Write the default bundle, photo and recording of the package."""
+    trained = Bundle.open(Path(sys.argv[1]))
+    BUNDLE.parent.mkdir(exist_ok=True)
+    ship_bundle(trained, BUNDLE)
+    Image.fromarray(still(PRESENTER, number=VIDEO, seed=SEED)).save(PHOTO, optimize=True)
+    speech = recording(PRESENTER, seconds=SECONDS, number=VIDEO, seed=SEED)
+    samples = np.clip(speech.samples, -1, 1)
+    soundfile.write(SPEECH, samples, speech.rate, subtype="PCM_16")
+    for path in sorted(BUNDLE.parent.rglob("*")):
+        if path.is_file():
+            print(f"{path.stat().st_size / 1e6:6.2f} MB  {path.relative_to(BUNDLE.parent)}")
+    shutil.rmtree(BUNDLE / "train", ignore_errors=True)
+
+
+if __name__ == "__main__":
+    main()
