@@ -82,7 +82,7 @@ def demo(
     device: Device = "auto",
     force: Force = False,
 ) -> None:
-    """Make a video of the photo and the recording that ship with the package."""
+    """Animate the photo and the recording that ship."""
     from angie.demo import PHOTO, SPEECH
 
     animate(PHOTO, SPEECH, output, seed=seed, device=device, force=force)
@@ -97,7 +97,7 @@ def phantom(
     jobs: Jobs = 0,
     force: Force = False,
 ) -> None:
-    """Write raw videos of the phantom speaker: procedural presenters whose truth is known."""
+    """Write videos of the phantom speaker, and their truth."""
     from data_prep.output import whole_folder
     from data_prep.phantom.make import make_phantom
 
@@ -121,7 +121,7 @@ def prepare(
     jobs: Jobs = 0,
     force: Force = False,
 ) -> None:
-    """Turn videos of a speaker into a dataset of 256x256 clips at 25 fps."""
+    """Cut videos of a speaker into a dataset of clips."""
     from data_prep.prepare import prepare as make
 
     square = None if crop is None else _square(crop)

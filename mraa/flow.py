@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from mraa.affine import inverse, relative_affine
 from mraa.blocks import AntiAliasDown, Hourglass
-from mraa.grid import coordinate_grid, warp
+from mraa.grid import coordinate_grid, resize_flow, warp
 from mraa.regions import Regions
 
 
@@ -66,6 +66,12 @@ def sparse_motions(
         mapped = torch.einsum("bij,hwj->bhwi", background, homogeneous)
         still = (mapped[..., :2] / mapped[..., 2:])[:, None]
     return torch.cat([still, moved], dim=1)
+
+
+def deformed(image: Tensor, flow: Flow, *, align_corners: bool) -> Tensor:
+    """The image (B, C, H, W) as the flow alone deforms it."""
+    field = resize_flow(flow.flow, *image.shape[2:], align_corners=align_corners)
+    return warp(image, field, align_corners=align_corners)
 
 
 class FlowPredictor(nn.Module):

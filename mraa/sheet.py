@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mraa.grid import resize_flow, warp
+from mraa.flow import deformed
 from mraa.regions import Regions
 from mraa.renderer import Renderer, to_pixels
 
@@ -61,13 +61,12 @@ def sample_sheet(renderer: Renderer, source: Tensor, driving: Tensor, rows: int 
     prediction, flow = renderer(source, source_regions, driving_regions, background)
     corners = renderer.config.align_corners
     height, width = source.shape[2:]
-    field = resize_flow(flow.flow, height, width, align_corners=corners)
-    deformed = warp(source, field, align_corners=corners)
+    moved = deformed(source, flow, align_corners=corners)
     occlusion = torch.nn.functional.interpolate(flow.occlusion, size=(height, width))
     renderer.train(mode)
     columns = [
         to_pixels(x.float()).cpu().numpy()
-        for x in (source, driving, deformed, occlusion.expand(-1, 3, -1, -1), prediction)
+        for x in (source, driving, moved, occlusion.expand(-1, 3, -1, -1), prediction)
     ]
     marked = np.stack(
         [draw_regions(columns[1][i], driving_regions[i : i + 1]) for i in range(len(source))]

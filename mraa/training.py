@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from data_prep.dataset import Dataset
 from data_prep.rates import IMAGE_SIZE
+from mraa.flow import deformed
 from mraa.losses import PYRAMID_SCALES, PerceptualPyramid, equivariance_of
 from mraa.pairs import Augmentation, FramePairs
 from mraa.renderer import Renderer, RendererConfig, from_pixels
@@ -43,24 +44,33 @@ class RendererTraining:
     sheet_every: int = 500
     """Steps between sheets of samples."""
     warmup_steps: int = 0
-    """Not in the paper: steps before the others on images reduced to `warmup_size`, which the
-    estimator and the flow predictor see at the same resolution as later; several times as fast."""
+    """Not in the paper: steps before the others in which the source as the flow deforms it, not
+    yet the generated picture, has to match the driving frame. Otherwise the generator paints a
+    blur over what moves before any region has found it. Images are reduced to `warmup_size`, which
+    the estimator and the flow predictor see at the same resolution as later."""
     warmup_size: int = 128
 
 
 class _Objective(nn.Module):
     """The renderer with its losses, as one module so that devices see one forward pass."""
 
-    def __init__(self, renderer: Renderer, training: RendererTraining) -> None:
+    def __init__(
+        self, renderer: Renderer, training: RendererTraining, motion_alone: bool = False
+    ) -> None:
         super().__init__()
         self.renderer, self.training_config = renderer, training
+        self.motion_alone = motion_alone
 
     def forward(self, source: Tensor, driving: Tensor) -> dict[str, Tensor]:
         renderer, weights = self.renderer, self.training_config
         both = renderer.estimator(torch.cat([source, driving]))
         source_regions, driving_regions = both[: len(source)], both[len(source) :]
         background = renderer.background(source, driving)
-        prediction, flow = renderer(source, source_regions, driving_regions, background)
+        flow = renderer.flow(source, source_regions, driving_regions, background)
+        if self.motion_alone:
+            prediction = deformed(source, flow, align_corners=renderer.config.align_corners)
+        else:
+            prediction = renderer.generator(source, flow)
         terms = equivariance_of(
             renderer.estimator,
             driving,
@@ -105,8 +115,9 @@ def train_renderer(
     renderer = Renderer(config)
     how = {"seed": seed, "run_config": run_config, "resume": resume}
     if training.warmup_steps:
-        small = RendererStage("warmup", training.warmup_steps, training.warmup_size, ())
-        taught = Renderer(reduced(config, training.warmup_size))
+        size = training.warmup_size
+        small = RendererStage("warmup", training.warmup_steps, size, (), motion_alone=True)
+        taught = Renderer(reduced(config, size))
         _train(dataset, taught, training, folder, small, **how)
         take_weights(renderer, taught)
     milestones = tuple(round(part * steps) for part in training.milestones)
@@ -117,12 +128,21 @@ def train_renderer(
 
 @dataclass(frozen=True)
 class RendererStage:
-    """One course of training: name, steps, image size, steps at which the rate falls."""
+    """One course of training.
+
+    Attributes:
+        name: of its checkpoint and curves.
+        steps: of the optimiser.
+        size: of the images in pixels.
+        milestones: steps at which the rate falls.
+        motion_alone: compare the deformed source; the generator rests.
+    """
 
     name: str
     steps: int
     size: int
     milestones: tuple[int, ...]
+    motion_alone: bool = False
 
 
 def reduced(config: RendererConfig, size: int) -> RendererConfig:
@@ -154,7 +174,7 @@ def _train(
     run = Run(folder, stage.name, steps=stage.steps, seed=seed, config=run_config, resume=resume)
     renderer.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     adam = torch.optim.Adam(renderer.parameters(), lr=training.rate, betas=training.betas)
-    objective, optimizer = run.setup(_Objective(renderer, training), adam)
+    objective, optimizer = run.setup(_Objective(renderer, training, stage.motion_alone), adam)
     perceptual = PerceptualPyramid(
         training.perceptual_weights,
         training.perceptual_width,
