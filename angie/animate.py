@@ -1,7 +1,7 @@
 """Photo and recording to a gesture video: features, tokens, motion, frames, mp4."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +13,12 @@ from angie.motion import Motion, encode_cholesky
 from angie.statistics import MotionStatistics
 from data_prep.errors import BadInput
 from data_prep.features import speech_features
-from data_prep.output import whole_file
+from data_prep.output import check_apart, whole_file
 from data_prep.photo import read_photo
 from data_prep.progress import progress
 from data_prep.rates import FPS, IMAGE_SIZE, SAMPLE_RATE, frames_covering
 from data_prep.sound import read_sound
-from data_prep.speaker import Crop, cut_out, find_faces, speaker_crop
+from data_prep.speaker import Crop, check_crop, cut_out, find_faces, speaker_crop
 from data_prep.video import VideoWriter
 from mraa.affine import renderable
 from mraa.modes import hull_scale
@@ -70,6 +70,7 @@ def animate(
     device: str = "cpu",
     crop: Crop | None = None,
     scale_motion: str = "none",
+    greedy: bool = False,
     force: bool = False,
 ) -> Result:
     """Make the person of a photo gesture to a recording.
@@ -84,21 +85,24 @@ def animate(
         crop: square of the photo to animate, in pixels; None finds it by the face.
         scale_motion: "hull" scales the gestures by the size of the person (spanned by the
             regions) against the training speakers', "none" does not.
+        greedy: always the likeliest gesture; every seed then gives the same video.
         force: replace an existing output.
 
     Raises:
         BadInput: an input that cannot be used; nothing is left behind.
     """
+    check_apart(output, (photo_path, sound_path))
     with whole_file(output, force=force) as part:
         photo = read_photo(photo_path)
         samples = read_sound(sound_path)
         if crop is None:
             crop = photo_crop(photo_path, photo)
-        elif crop.x >= photo.shape[1] or crop.y >= photo.shape[0] or crop.size < 1:
-            height, width = photo.shape[:2]
-            raise BadInput(f"--crop: the square lies outside of {photo_path} ({width}x{height})")
+        check_crop(crop, *photo.shape[:2])
         renderer = bundle.renderer().to(device)
         generator = bundle.generator()
+        if not greedy:
+            topk = replace(generator.config.sampling, method="topk")
+            generator.config = replace(generator.config, sampling=topk)
         frames = frames_covering(len(samples))
         cut = torch.from_numpy(cut_out(photo, crop, IMAGE_SIZE))
         picture = from_pixels(cut[None]).to(device)  # (1, 3, 256, 256)

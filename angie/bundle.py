@@ -41,6 +41,9 @@ from mraa.renderer import Renderer
 FORMAT = 1
 """Version of the bundle's layout; loading refuses newer ones."""
 
+_SECTION = {"renderer": "renderer", "vq": "vq", "gpt": "gpt", "refiner": "refiner"}
+_ENTRY = {"file", "sha256", "upstream", "sizes", "report"}
+
 UPSTREAM = {
     "renderer": (),
     "statistics": ("renderer",),
@@ -71,10 +74,11 @@ def source_commit() -> str:
     root = Path(__file__).resolve().parents[1]
     if not (root / ".git").exists():
         return ""
-    result = subprocess.run(
-        ["git", "-C", str(root), "rev-parse", "HEAD"], capture_output=True, text=True, check=False
-    )
-    return result.stdout.strip()
+    command = ["git", "-C", str(root), "rev-parse", "HEAD"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+    except OSError:  # git is not installed
+        return ""
 
 
 @dataclass
@@ -124,9 +128,12 @@ class Bundle:
                     "update angie"
                 )
             preset = override(Preset(), manifest["config"])
-            known = {"file", "sha256", "upstream", "report"}
-            if any(entry.keys() != known for entry in manifest["parts"].values()):
-                raise BadInput("a part is not described in full")
+            for part, entry in manifest["parts"].items():
+                if entry.keys() != _ENTRY or entry["file"] != f"{part}.safetensors":
+                    raise BadInput(f"{part} is not described as it should be")
+            texts = [manifest[key] for key in ("angie", "preset", "size", "fps", "crop")]
+            if not all(isinstance(name, str) for name in manifest["speakers"]) or not texts:
+                raise BadInput("speakers must be names")
         except BadInput as error:
             raise BadInput(f"{path}: {error}") from error
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -144,12 +151,18 @@ class Bundle:
         return self.folder / TRAIN
 
     def has(self, part: str) -> bool:
-        """Whether a part is present and trained on the present upstream parts."""
-        entry = self.manifest["parts"].get(part)
-        return entry is not None and all(
-            self.has(name) and entry["upstream"].get(name) == self.hash_of(name)
-            for name in UPSTREAM[part]
-        )
+        """Whether a part is whole, of the present sizes, and trained on the present parts."""
+        try:
+            self.path_of(part)
+        except BadInput:
+            return False
+        return True
+
+    def sizes_of(self, part: str) -> str:
+        """Hash of the settings that make a part's architecture."""
+        section = _SECTION.get(part)
+        value = {} if section is None else dataclasses.asdict(getattr(self.preset, section))
+        return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
     def hash_of(self, part: str) -> str:
         """Hash of a part as the manifest states it."""
@@ -173,6 +186,7 @@ class Bundle:
             "file": path.name,
             "sha256": sha256(path),
             "upstream": {name: self.hash_of(name) for name in UPSTREAM[part]},
+            "sizes": self.sizes_of(part),
             "report": {"angie": __version__, "commit": source_commit(), **report},
         }
         self.write()
@@ -194,6 +208,11 @@ class Bundle:
             )
         if sha256(path) != entry["sha256"]:
             raise BadInput(f"{path}: not the file that bundle.json describes (wrong hash)")
+        if entry["sizes"] != self.sizes_of(part):
+            raise BadInput(
+                f"{self.folder}: {part} was trained with other settings than bundle.json states; "
+                f"run angie train --stage {stage} again"
+            )
         for name in UPSTREAM[part]:
             self.path_of(name)
             if entry["upstream"].get(name) != self.hash_of(name):

@@ -1,5 +1,6 @@
 """The `angie` command."""
 
+import json
 import os
 import sys
 from pathlib import Path
@@ -22,7 +23,7 @@ app = typer.Typer(
 )
 
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing output.")]
-Seed = Annotated[int, typer.Option(help="Everything random follows from it.")]
+Seed = Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Everything random follows from it.")]
 Device = Annotated[str, typer.Option(help="auto, cpu, cuda or mps.")]
 Jobs = Annotated[int, typer.Option(min=0, help="Processes; 0 for one a core.")]
 # the modules behind a command are imported when it runs, so that `angie --help` is quick
@@ -44,6 +45,9 @@ def animate(
     scale_motion: Annotated[
         str, typer.Option(help="none, or hull: scale gestures to the person's size.")
     ] = "none",
+    greedy: Annotated[
+        bool, typer.Option("--greedy", help="Always the likeliest gesture, whatever the seed.")
+    ] = False,
     force: Force = False,
 ) -> None:
     """Make the person of a photo gesture to a recording."""
@@ -68,6 +72,7 @@ def animate(
         device=_device(device),
         crop=square,
         scale_motion=scale_motion,
+        greedy=greedy,
         force=force,
     )
     print(f"{result.path}: {result.frames} frames, {result.seconds:.2f} s of sound")
@@ -91,7 +96,9 @@ def demo(
 @app.command()
 def phantom(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the videos.")],
-    minutes: Annotated[float, typer.Option(min=0.1, help="Length of all videos together.")] = 4.0,
+    minutes: Annotated[
+        float, typer.Option(min=0.1, max=6000, help="Length of all videos together.")
+    ] = 4.0,
     presenters: Annotated[int, typer.Option(min=1, help="Number of presenters.")] = 4,
     seed: Seed = 0,
     jobs: Jobs = 0,
@@ -101,10 +108,12 @@ def phantom(
     from data_prep.output import whole_folder
     from data_prep.phantom.make import make_phantom
 
-    with whole_folder(output, force=force) as part:
+    with whole_folder(output, mark="phantom.json", force=force) as part:
         videos = make_phantom(
             part, minutes=minutes, seed=seed, presenters=presenters, jobs=jobs or _cores()
         )
+        origin = {"angie": __version__, "minutes": minutes, "presenters": presenters, "seed": seed}
+        (part / "phantom.json").write_text(json.dumps(origin) + "\n")
     print(f"{output}: {len(videos)} videos of {presenters} presenters")
 
 
@@ -160,8 +169,12 @@ def train(
     from angie.training import train as run
     from mraa.run import RunConfig
 
-    known = (output / "bundle.json").exists() and not force
+    known = (output / "bundle.json").exists() and (resume or not force)
     chosen = find(preset or "lite") if preset or not known else None
+    if precision not in ("auto", "32-true", "bf16-mixed", "16-mixed"):
+        raise BadInput(f"--precision {precision}: there are auto, 32-true, bf16-mixed, 16-mixed")
+    if device != "auto":
+        _device(device)
     how = RunConfig(device=device, devices=devices, precision=precision, workers=workers)
     bundle = run(
         dataset,
@@ -227,8 +240,10 @@ def _device(name: str) -> str:
     available["mps"] = torch.backends.mps.is_available()
     if name == "auto":
         return next(d for d in ("cuda", "mps", "cpu") if available[d])
-    kind = name.partition(":")[0]
-    if not available.get(kind, False):
+    kind, _, number = name.partition(":")
+    count = torch.cuda.device_count() if kind == "cuda" else 1
+    numbered = not number or (number.isdecimal() and int(number) < count)
+    if not available.get(kind, False) or not numbered:
         usable = ", ".join(d for d, ok in available.items() if ok)
         raise BadInput(f"--device {name}: not on this machine; there is {usable}")
     return name
@@ -247,9 +262,10 @@ def main() -> None:
     except BadInput as error:
         console.print(f"angie: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
         sys.exit(2)
-    except KeyboardInterrupt:
-        console.print("angie: interrupted", style="red")
-        sys.exit(130)
+    except OSError as error:  # disk full, no permission, a name that is too long ...
+        place = f"{error.filename}: " if error.filename else ""
+        console.print(f"angie: {place}{error.strerror or error}", style="red", highlight=False)
+        sys.exit(2)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ region) followed by the Cholesky block (3K channels): `[mu ; L]`, 100 numbers fo
 (ANGIE, NeurIPS 2022, section 3.2).
 """
 
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -203,7 +204,7 @@ def read_motion(path: Path, estimator: str | None = None) -> Motion:
         with np.load(path, allow_pickle=False) as file:
             shift, cholesky = file["shift"], file["cholesky"]
             origin = str(file["estimator"])
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise BadInput(f"{path}: not a motion file ({error}); run the motion stage") from error
     if estimator is not None and origin != estimator:
         raise BadInput(

@@ -66,7 +66,9 @@ def _lite() -> Preset:
         vq=VQConfig(width=64, code_width=64),
         gpt=GPTConfig(width=128, heads=4, layers=4),
         refiner=RefinerConfig(sound=96, motion=64, hidden=64),
-        generation=GenerationConfig(bounding="auto"),
+        generation=GenerationConfig(
+            bounding="auto", sampling=Sampling(method="topk", repeat_guard=True)
+        ),
         train_renderer=RendererTraining(
             batch=8,
             repeats=150,
@@ -98,7 +100,9 @@ def _tiny() -> Preset:
         vq=VQConfig(regions=10, width=32, code_width=32),
         gpt=GPTConfig(width=64, heads=4, layers=2),
         refiner=RefinerConfig(regions=10, sound=32, motion=32, hidden=32, layers=1),
-        generation=GenerationConfig(bounding="auto"),
+        generation=GenerationConfig(
+            bounding="auto", sampling=Sampling(method="topk", repeat_guard=True)
+        ),
         train_renderer=RendererTraining(
             steps=300,
             batch=4,
@@ -165,10 +169,12 @@ def override(base: Preset, changes: Mapping[str, Any]) -> Preset:
         BadInput: an unknown key (the nearest known one is named) or a value of another type.
     """
     changes = dict(changes)
-    regions = dict(changes.get("renderer") or {}).get("regions")
-    if regions is not None:
+    renderer = changes.get("renderer")
+    if isinstance(renderer, Mapping) and "regions" in renderer:
         for part in ("vq", "refiner"):
-            changes[part] = {"regions": regions, **(changes.get(part) or {})}
+            given = changes.get(part, {})
+            if isinstance(given, Mapping):
+                changes[part] = {"regions": renderer["regions"], **given}
     return _replace(base, changes, "")
 
 
@@ -203,13 +209,11 @@ def _replace(base: T, changes: Mapping[str, Any], prefix: str) -> T:
 
 def _convert(value: Any, hint: Any, name: str) -> Any:
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    if origin is tuple and isinstance(value, (list, tuple)):
-        kinds = (
-            [arguments[0]] * len(value)
-            if len(arguments) == 2 and arguments[1] is Ellipsis
-            else list(arguments)
-        )
-        if len(kinds) == len(value):
+    if origin is tuple:
+        listed = list(value) if isinstance(value, (list, tuple)) else []
+        endless = len(arguments) == 2 and arguments[1] is Ellipsis
+        kinds = [arguments[0]] * len(listed) if endless else list(arguments)
+        if isinstance(value, (list, tuple)) and len(kinds) == len(listed):
             return tuple(_convert(v, kind, name) for v, kind in zip(value, kinds, strict=True))
     elif origin in (typing.Union, types.UnionType):
         if value is None:
@@ -217,7 +221,11 @@ def _convert(value: Any, hint: Any, name: str) -> Any:
         return _convert(value, arguments[0], name)
     elif hint is float and _is_number(value):
         return float(value)
-    elif isinstance(value, hint) and (hint is bool or not isinstance(value, bool)):
+    elif (
+        isinstance(hint, type)
+        and isinstance(value, hint)
+        and (hint is bool or not isinstance(value, bool))
+    ):
         return value
     kind = getattr(hint, "__name__", str(hint))
     raise BadInput(f"{name}={value}: a {kind} is wanted")

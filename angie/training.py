@@ -1,15 +1,16 @@
 """Training a speaker bundle: renderer, motion, VQ, GPT, refiner, in this order."""
 
+import dataclasses
 import hashlib
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import torch
+from lightning_fabric import Fabric
 
-from angie.bundle import Bundle
+from angie.bundle import UPSTREAM, Bundle
 from angie.clips import MotionClip, read_clips
 from angie.extraction import extract_dataset
 from angie.presets import Preset, override
@@ -25,16 +26,16 @@ from data_prep.progress import console
 from data_prep.rates import FPS
 from data_prep.speaker import FACE_DOWN, SIDE_IN_FACES
 from mraa.allocator import keep_memory
-from mraa.losses import backend_of
+from mraa.losses import backend_of, load_vgg19
 from mraa.reconstruction import reconstruct
-from mraa.run import RunConfig, native_precision
+from mraa.run import RunConfig, launch, native_precision
 from mraa.training import train_renderer
 
 STAGES = ("renderer", "motion", "vq", "gpt", "refiner")
 """Stages of training in their order; each makes one part of the bundle."""
 
-PART_OF = {"motion": "statistics"}
-"""Part that a stage makes, where it is not the stage's own name."""
+PART_OF = dict(zip(STAGES, UPSTREAM, strict=True))
+"""Part of the bundle that a stage makes."""
 
 HELD_OUT = 10
 """Every so many training clips one is kept from the motion stages to choose weights by."""
@@ -49,18 +50,29 @@ class Trainer:
     seed: int
     run: RunConfig
     resume: bool
+    fabric: Fabric
 
-    def origin(self) -> dict[str, Any]:
-        """What a part's report says of its data."""
-        clips = self.dataset.clips("train")
-        digest = hashlib.sha256((self.dataset.path / "meta.csv").read_bytes()).hexdigest()
-        return {
-            "dataset": self.dataset.path.resolve().name,
-            "dataset_sha256": digest,
-            "clips": len(clips),
-            "minutes": round(sum(c.n_frames for c in clips) / FPS / 60, 2),
-            "seed": self.seed,
-        }
+    @property
+    def data_digest(self) -> str:
+        """Hash of what the dataset says of its sources, crops and clips."""
+        names = ("dataset.json", "meta.csv")
+        text = b"".join((self.dataset.path / name).read_bytes() for name in names)
+        return hashlib.sha256(text).hexdigest()
+
+    def publish(self, part: str, make: Callable[[], Any], **report: Any) -> None:
+        """Put what `make` returns into the bundle as a part: once, whatever the processes."""
+        if self.fabric.global_rank == 0:
+            clips = self.dataset.clips("train")
+            origin = {
+                "dataset": self.dataset.path.resolve().name,
+                "dataset_sha256": self.data_digest,
+                "clips": len(clips),
+                "minutes": round(sum(c.n_frames for c in clips) / FPS / 60, 2),
+                "seed": self.seed,
+            }
+            self.bundle.add(part, make(), {**origin, **report})
+        self.fabric.barrier()
+        self.bundle = Bundle.open(self.bundle.folder)
 
     def renderer(self) -> None:
         """Train the renderer and measure its self-reconstruction on the test clips."""
@@ -71,48 +83,69 @@ class Trainer:
             preset.train_renderer,
             self.bundle.train,
             seed=self.seed,
-            run_config=self.run,
+            run_config=self.how("renderer", self.run.precision),
             resume=self.resume,
         )
-        score = reconstruct(renderer, self.dataset, self.dataset.clips("test"))
-        self.bundle.manifest["speakers"] = sorted({c.speaker for c in self.dataset.clips()})
-        self.bundle.manifest["crop"] = {"side_in_faces": SIDE_IN_FACES, "face_down": FACE_DOWN}
-        report = {
-            **self.origin(),
+        report: dict[str, Any] = {
             "perceptual": backend_of(preset.train_renderer.perceptual_weights),
-            "reconstruction": score.as_dict(),
+            "precision": self.run.precision,
         }
-        self.bundle.add("renderer", renderer.state_dict(), report)
-        console.print(
-            f"renderer: L1 {score.l1:.4f}, PSNR {score.psnr:.2f} dB on held-out frames "
-            f"(copying the source: {score.copy_l1:.4f}, {score.copy_psnr:.2f} dB)"
-        )
+        tests = self.dataset.clips("test")
+        if tests and self.fabric.global_rank == 0:
+            score = reconstruct(renderer, self.dataset, tests)
+            report["reconstruction"] = score.as_dict()
+            console.print(
+                f"renderer: L1 {score.l1:.4f}, PSNR {score.psnr:.2f} dB on held-out frames "
+                f"(copying the source: {score.copy_l1:.4f}, {score.copy_psnr:.2f} dB)",
+                soft_wrap=True,
+            )
+        self.bundle.manifest["speakers"] = self.dataset.speakers()
+        self.bundle.manifest["crop"] = {"side_in_faces": SIDE_IN_FACES, "face_down": FACE_DOWN}
+        self.publish("renderer", renderer.state_dict, **report)
 
     def motion(self) -> None:
         """Measure the region motion of all clips and its statistics."""
-        estimator = self.bundle.renderer().estimator.to(self.run_device())
-        folder, identity = self.bundle.train / "motion", self.bundle.hash_of("renderer")
-        extract_dataset(self.dataset, estimator, folder, identity)
-        statistics = measure(self.clips("train"))
         path = self.bundle.train / "statistics.safetensors"
-        statistics.save(path)
-        self.bundle.add("statistics", path, self.origin())
+
+        def make() -> Path:
+            estimator = self.bundle.renderer().estimator.to(self.fabric.device)
+            extract_dataset(self.dataset, estimator, self.motion_folder, self.motion_identity)
+            measure(self.clips("train")).save(path)
+            return path
+
+        self.publish("statistics", make)
 
     def vq(self) -> None:
         """Train the VQ motion extractor."""
         preset = self.bundle.preset
         windows, _ = self.windows()
-        vq = train_vq(self.bundle.train, windows, preset.vq, preset.train_vq, **self.how())
-        self.bundle.add("vq", vq.state_dict(), self.origin())
+        vq = train_vq(
+            self.bundle.train,
+            windows,
+            preset.vq,
+            preset.train_vq,
+            seed=self.seed,
+            run_config=self.how("vq"),
+            resume=self.resume,
+        )
+        self.publish("vq", vq.state_dict)
 
     def gpt(self) -> None:
         """Train the co-speech GPT on the codes of the VQ motion extractor."""
         preset, vq = self.bundle.preset, self.bundle.vq()
         windows, held_out = self.windows()
         gpt = train_gpt(
-            self.bundle.train, vq, windows, held_out, preset.gpt, preset.train_gpt, **self.how()
+            self.bundle.train,
+            vq,
+            windows,
+            held_out,
+            preset.gpt,
+            preset.train_gpt,
+            seed=self.seed,
+            run_config=self.how("gpt"),
+            resume=self.resume,
         )
-        self.bundle.add("gpt", gpt.state_dict(), self.origin())
+        self.publish("gpt", gpt.state_dict)
 
     def refiner(self) -> None:
         """Train the refiner on the patterns of the VQ motion extractor."""
@@ -125,14 +158,25 @@ class Trainer:
             held_out,
             preset.refiner,
             preset.train_refiner,
-            **self.how(),
+            seed=self.seed,
+            run_config=self.how("refiner"),
+            resume=self.resume,
         )
-        self.bundle.add("refiner", refiner.state_dict(), self.origin())
+        self.publish("refiner", refiner.state_dict)
+
+    @property
+    def motion_folder(self) -> Path:
+        """Where the region motion of the clips is kept."""
+        return self.bundle.train / "motion"
+
+    @property
+    def motion_identity(self) -> str:
+        """What the region motion was measured by and on."""
+        return f"{self.bundle.hash_of('renderer')}-{self.data_digest}"
 
     def clips(self, split: str) -> list[MotionClip]:
         """Motion and features of a split."""
-        identity = self.bundle.hash_of("renderer")
-        return read_clips(self.dataset, self.bundle.train / "motion", split, identity)
+        return read_clips(self.dataset, self.motion_folder, split, self.motion_identity)
 
     def windows(self) -> tuple[MotionWindows, MotionWindows | None]:
         """Training windows, and those of every tenth training clip to choose weights by.
@@ -144,19 +188,18 @@ class Trainer:
         long = [clip for clip in clips if clip.motion.frames >= WINDOW]
         if len(long) < HELD_OUT:
             return MotionWindows(clips, statistics), None
-        kept = long[HELD_OUT - 1 :: HELD_OUT]
-        rest = [clip for clip in clips if all(clip is not other for other in kept)]
-        return MotionWindows(rest, statistics), MotionWindows(kept, statistics)
+        kept = {clip.name for clip in long[HELD_OUT - 1 :: HELD_OUT]}
+        return (
+            MotionWindows([clip for clip in clips if clip.name not in kept], statistics),
+            MotionWindows([clip for clip in clips if clip.name in kept], statistics),
+        )
 
-    def how(self) -> dict[str, Any]:
-        """Arguments that the motion stages share; they are small and stay in float32."""
-        run = RunConfig(device=self.run.device, devices=self.run.devices)
-        return {"seed": self.seed, "run_config": run, "resume": self.resume}
-
-    def run_device(self) -> torch.device:
-        """Device for work outside a training run."""
-        cuda = self.run.device in ("auto", "cuda") and torch.cuda.is_available()
-        return torch.device("cuda" if cuda else "cpu")
+    def how(self, part: str, precision: str = "32-true") -> RunConfig:
+        """How to run a stage; those of motion are small and stay in float32."""
+        upstream = [self.bundle.hash_of(name) for name in UPSTREAM[part]]
+        words = [part, self.bundle.sizes_of(part), str(self.seed), self.data_digest, *upstream]
+        identity = hashlib.sha256(" ".join(words).encode()).hexdigest()
+        return replace(self.run, precision=precision, identity=identity)
 
 
 def train(
@@ -190,19 +233,24 @@ def train(
     if stage not in (*STAGES, "all"):
         raise BadInput(f"--stage {stage}: there are {', '.join(STAGES)} and all")
     data = Dataset(dataset)
-    bundle = _open_or_create(Path(output), preset, changes or {}, stage, resume, force)
+    if not data.clips("train"):
+        raise BadInput(f"{dataset}: has no clips to train on; prepare more videos")
     run = run or RunConfig()
     if run.precision == "auto":
-        run = RunConfig(**{**vars(run), "precision": native_precision(run.device)})
+        run = replace(run, precision=native_precision(run.device))
+    fabric = launch(run)
+    if fabric.global_rank == 0:
+        _open_or_create(Path(output), preset, changes or {}, stage, resume, force)
+    fabric.barrier()
     keep_memory()
-    trainer = Trainer(data, bundle, seed, run, resume)
+    trainer = Trainer(data, Bundle.open(output), seed, run, resume, fabric)
     for name in STAGES if stage == "all" else (stage,):
-        if stage == "all" and resume and bundle.has(PART_OF.get(name, name)):
+        if stage == "all" and resume and trainer.bundle.has(PART_OF[name]):
             console.print(f"{name}: done before")
             continue
         action: Callable[[], None] = getattr(trainer, name)
         action()
-    return bundle
+    return trainer.bundle
 
 
 def _open_or_create(
@@ -214,15 +262,19 @@ def _open_or_create(
     force: bool,
 ) -> Bundle:
     exists = (output / "bundle.json").exists()
-    if exists and force and not resume:
-        check_output(output, force=True)
-        shutil.rmtree(output)
-        exists = False
-    if not exists:
-        if output.is_dir() and any(output.iterdir()):
+    if not exists or (force and not resume):
+        settings = override(preset or Preset(), changes)
+        if stage not in ("all", "renderer"):
+            raise BadInput(f"{output}: has no renderer yet; run angie train --stage renderer first")
+        if settings.train_renderer.perceptual_weights:
+            load_vgg19(Path(settings.train_renderer.perceptual_weights))
+        if not exists and output.is_dir() and any(output.iterdir()):
             raise BadInput(f"{output}: holds other files; name a new folder for the bundle")
         check_output(output, force=output.is_dir())
-        return Bundle.create(output, override(preset or Preset(), changes))
+        if exists:
+            shutil.rmtree(output)
+        return Bundle.create(output, settings)
+    check_output(output / "bundle.json", force=True)
     if not resume and stage == "all":
         raise BadInput(f"{output}: exists already; go on with --resume or start anew with --force")
     bundle = Bundle.open(output)
@@ -231,10 +283,7 @@ def _open_or_create(
             f"{output}: made with --preset {bundle.preset.name}; leave --preset out to go on"
         )
     if changes:
-        changed = Bundle.create(output, override(bundle.preset, changes))
-        changed.manifest.update(
-            {key: bundle.manifest[key] for key in ("speakers", "crop", "parts")}
-        )
-        changed.write()
-        return changed
+        bundle.preset = override(bundle.preset, changes)
+        bundle.manifest["config"] = dataclasses.asdict(bundle.preset)
+        bundle.write()
     return bundle

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -133,7 +134,7 @@ class Dataset:
         try:
             with np.load(path, allow_pickle=False) as file:
                 return SpeechFeatures(file["onset"], file["mfcc"], file["onset_times"])
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise BadInput(f"{path}: damaged or missing; prepare the dataset again") from error
 
     def words(self, clip: Clip) -> list[Word] | None:

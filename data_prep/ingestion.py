@@ -6,16 +6,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from data_prep.clip_files import Piece, fault, piece_of_sound, write_clip
+from data_prep.container import check_file
 from data_prep.cutting import MIN_FRAMES, clip_bounds
 from data_prep.dataset import Clip
 from data_prep.errors import BadInput
 from data_prep.rates import FPS, SAMPLE_RATE, frames_covering
 from data_prep.sound import read_sound
 from data_prep.source import Source, sha256
-from data_prep.speaker import Crop, cut_out, speaker_crop
+from data_prep.speaker import Crop, check_crop, cut_out, speaker_crop
 from data_prep.tracking import speaker_face
 from data_prep.video import VideoInfo, probe, read_frames
 from data_prep.words import Word, read_words
@@ -56,9 +58,10 @@ def ingest(source: Source, folder: Path, crop: Crop | None = None) -> Outcome:
     """
     outcome = Outcome(source)
     try:
+        check_file(source.path)
         outcome.sha256 = sha256(source.path)
         _ingest(outcome, folder, crop)
-    except BadInput as error:
+    except (BadInput, cv2.error) as error:
         outcome.refused = str(error).removeprefix(f"{source.path}: ")
     if not outcome.clips and outcome.refused is None:
         outcome.refused = f"no clip kept ({', '.join(outcome.dropped)})"
@@ -78,8 +81,7 @@ def _ingest(outcome: Outcome, folder: Path, crop: Crop | None) -> None:
     if crop is None:
         face = speaker_face(source.path, info)
         crop = speaker_crop(face, info.height, info.width)
-    elif crop.x >= info.width or crop.y >= info.height or min(crop.x, crop.y) <= -crop.size:
-        raise BadInput(f"the crop lies outside of the picture ({info.width}x{info.height})")
+    check_crop(crop, info.height, info.width)
     outcome.crop = crop
     for piece in _pieces(source, samples, clip_bounds(samples, expected), crop):
         reason = fault(piece)

@@ -3,7 +3,7 @@
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -22,12 +22,12 @@ def check_output(path: Path, *, force: bool = False) -> None:
     """
     path = Path(path)
     parent = path.absolute().parent
-    if not parent.is_dir():
-        raise BadInput(f"{path}: the folder {parent} does not exist; make it first")
-    if path.exists() and not force:
-        raise BadInput(f"{path}: exists already; give another name or --force")
-    probe = _beside(path)
     try:
+        if not parent.is_dir():
+            raise BadInput(f"{path}: the folder {parent} does not exist; make it first")
+        if path.exists() and not force:
+            raise BadInput(f"{path}: exists already; give another name or --force")
+        probe = _beside(path)
         probe.touch()
         probe.unlink()
     except OSError as error:
@@ -58,18 +58,21 @@ def whole_file(path: Path, *, force: bool = False) -> Iterator[Path]:
 
 
 @contextmanager
-def whole_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
+def whole_folder(path: Path, *, mark: str, force: bool = False) -> Iterator[Path]:
     """Yield a new empty folder beside `path`; it becomes `path` if the block succeeds.
 
     Args:
         path: the folder to make.
-        force: replace an existing folder.
+        mark: name of a file that every such folder holds; `force` replaces no other folder.
+        force: replace an existing folder of this kind.
 
     Raises:
-        BadInput: as `check_output`.
+        BadInput: as `check_output`, or the folder that exists is not of this kind.
     """
-    path = Path(path)
+    path = Path(path).resolve()
     check_output(path, force=force)
+    if path.exists() and not (path / mark).is_file():
+        raise BadInput(f"{path}: holds other things (no {mark}); name a new folder")
     part = _beside(path)
     part.mkdir()
     try:
@@ -77,9 +80,26 @@ def whole_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
         if path.exists():
             old = _beside(path)
             os.replace(path, old)
-            os.replace(part, path)
+            try:
+                os.replace(part, path)
+            except OSError:
+                os.replace(old, path)
+                raise
             shutil.rmtree(old)
         else:
             os.replace(part, path)
     finally:
         shutil.rmtree(part, ignore_errors=True)
+
+
+def check_apart(output: Path, inputs: Iterable[Path]) -> None:
+    """Refuse an output that is, holds or lies in the place of one of the inputs.
+
+    Raises:
+        BadInput: writing the output would replace an input.
+    """
+    target = Path(output).resolve()
+    for given in inputs:
+        source = Path(given).resolve()
+        if target == source or target in source.parents:
+            raise BadInput(f"{output}: would replace the input {given}; name another output")

@@ -58,7 +58,7 @@ def read_photo(path: Path) -> np.ndarray:
         raise BadInput(f"{path}: not a picture; give a photo (jpg, png, webp ...)") from error
     except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
         raise BadInput(f"{path}: is too large a picture; scale it down first") from error
-    except (OSError, ValueError, SyntaxError, EOFError) as error:
+    except Exception as error:  # Pillow's decoders raise whatever a damaged file leads them to
         raise BadInput(
             f"{path}: the picture is damaged ({describe(error)}); copy or save it again"
         ) from error

@@ -15,7 +15,7 @@ from data_prep.clip_files import FOLDERS
 from data_prep.dataset import FORMAT, MANIFEST, TABLE, Clip, write_table
 from data_prep.errors import BadInput
 from data_prep.ingestion import Outcome, ingest
-from data_prep.output import check_output, whole_folder
+from data_prep.output import check_apart, check_output, whole_folder
 from data_prep.progress import progress
 from data_prep.rates import FPS, IMAGE_SIZE, SAMPLE_RATE
 from data_prep.source import Source, find_sources
@@ -88,8 +88,9 @@ def prepare(
         BadInput: no such video, an output that cannot be written, or nothing was kept.
     """
     check_output(output, force=force)
+    check_apart(output, videos)
     sources = find_sources(videos, speaker)
-    with whole_folder(output, force=force) as part:
+    with whole_folder(output, mark=MANIFEST, force=force) as part:
         for folder in FOLDERS:
             (part / folder).mkdir()
         with progress("prepare", len(sources), "videos") as advance:

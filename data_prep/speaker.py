@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from data_prep.errors import BadInput
 from data_prep.rates import IMAGE_SIZE
 
 SIDE_IN_FACES = 4.2
@@ -207,6 +208,19 @@ def speaker_crop(face: Face, height: int, width: int) -> Crop:
     y = place(face.centre_y - FACE_DOWN * side, height)
     size = round(side)
     return Crop(min(round(x), max(width - size, 0)), min(round(y), max(height - size, 0)), size)
+
+
+def check_crop(crop: Crop, height: int, width: int) -> None:
+    """Refuse a square that shows nothing of a picture, or is absurdly larger than it.
+
+    Raises:
+        BadInput: which bound is passed.
+    """
+    outside = crop.x >= width or crop.y >= height or min(crop.x, crop.y) <= -crop.size
+    if crop.size < 1 or outside:
+        raise BadInput(f"--crop: the square lies outside of the picture ({width}x{height})")
+    if crop.size > 4 * max(height, width):
+        raise BadInput(f"--crop: the square is too large for the picture ({width}x{height})")
 
 
 def cut_out(image: np.ndarray, crop: Crop, size: int = IMAGE_SIZE) -> np.ndarray:

@@ -90,7 +90,8 @@ def cholesky(covariance: Tensor) -> Tensor:
     return torch.stack([l1, torch.zeros_like(l1), l2, l3], dim=-1).unflatten(-1, (2, 2))
 
 
-_ROOTS = {"svd": _eigen_root, "sym": _symmetric_root, "chol": cholesky}
+ROOTS = {"svd": _eigen_root, "sym": _symmetric_root, "chol": cholesky}
+"""Ways to take the root of a covariance."""
 
 
 def affine_from_covariance(covariance: Tensor, mode: str = "svd") -> Tensor:
@@ -104,7 +105,7 @@ def affine_from_covariance(covariance: Tensor, mode: str = "svd") -> Tensor:
     Returns:
         (..., 2, 2) float32.
     """
-    return _ROOTS[mode](covariance.float())
+    return ROOTS[mode](covariance.float())
 
 
 def relative_affine(source: Tensor, driving: Tensor, *, revert_axis_swap: bool) -> Tensor:

@@ -50,7 +50,8 @@ class BackgroundPredictor(nn.Module):
         if self.kind == "zero":
             return matrix
         features = self.encoder(self.down(torch.cat([source, driving], dim=1)))[-1]
-        numbers = self.fc(features.mean(dim=(2, 3))).float()  # (B, 2 | 6 | 8)
+        with torch.autocast(features.device.type, enabled=False):  # bfloat16 has no 1.003
+            numbers = self.fc(features.float().mean(dim=(2, 3)))  # (B, 2 | 6 | 8)
         if self.kind == "shift":
             matrix[:, :2, 2] = numbers
         elif self.kind == "affine":

@@ -1,7 +1,6 @@
 """Whose motion goes onto whom: standard, relative, and by disentanglement (MRAA, section 3.4)."""
 
 import numpy as np
-import torch
 from scipy.spatial import ConvexHull, QhullError
 from torch import Tensor
 
@@ -35,12 +34,3 @@ def relative_regions(source: Regions, driving: Regions, initial: Regions) -> Reg
     shift = source.shift + scale * (driving.shift - initial.shift)
     affine = driving.affine @ inverse(initial.affine) @ source.affine
     return Regions(shift, affine @ affine.mT, affine)
-
-
-def concatenate(parts: list[Regions]) -> Regions:
-    """Regions of several batches as one (heatmaps dropped)."""
-    return Regions(
-        torch.cat([p.shift for p in parts]),
-        torch.cat([p.covariance for p in parts]),
-        torch.cat([p.affine for p in parts]),
-    )

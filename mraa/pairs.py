@@ -37,6 +37,7 @@ class FramePairs:
         clips: those to draw from; an epoch meets each once.
         augmentation: applied to both frames alike.
         size: of the pairs in pixels, if smaller than the frames.
+        gap: largest distance of the two frames, 0 for any (as in MRAA).
     """
 
     def __init__(
@@ -45,9 +46,10 @@ class FramePairs:
         clips: list[Clip],
         augmentation: Augmentation,
         size: int = IMAGE_SIZE,
+        gap: int = 0,
     ) -> None:
         self.dataset, self.clips, self.augmentation = dataset, clips, augmentation
-        self.size = size
+        self.size, self.gap = size, gap
 
     def __len__(self) -> int:
         """Number of clips."""
@@ -56,7 +58,11 @@ class FramePairs:
     def draw(self, index: int, random: np.random.Generator) -> Tensor:
         """A pair of clip `index`: (2, size, size, 3) uint8, source first."""
         store = self.dataset.frames(self.clips[index])
-        first, second = sorted(random.choice(len(store), size=2, replace=len(store) < 2).tolist())
+        first = int(random.integers(len(store)))
+        low = max(0, first - self.gap) if self.gap else 0
+        high = min(len(store), first + self.gap + 1) if self.gap else len(store)
+        others = [i for i in range(low, high) if i != first] or [first]
+        first, second = sorted((first, int(random.choice(others))))
         frames = [store[first], store[second]]
         if self.size < IMAGE_SIZE:
             small = (self.size, self.size)

@@ -71,8 +71,9 @@ class RegionEstimator(nn.Module):
 
     def forward(self, image: Tensor) -> Regions:
         """Regions of images (B, 3, H, W) in [0, 1]."""
-        logits = self.regions(self.hourglass(self.down(image))).float()
+        features = self.hourglass(self.down(image))
         with torch.autocast(image.device.type, enabled=False):
+            logits = self.regions(features.float())  # rounding would grow by 1 / temperature
             heatmap = torch.softmax(logits.flatten(2) / self.temperature, dim=2)
             heatmap = heatmap.view_as(logits)  # (B, K, h, w)
             shift, covariance = moments(heatmap)

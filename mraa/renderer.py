@@ -5,8 +5,9 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor, nn
 
+from mraa.affine import ROOTS
 from mraa.avd import AvdNetwork
-from mraa.background import BackgroundPredictor
+from mraa.background import PARAMETERS, BackgroundPredictor
 from mraa.flow import Flow, FlowPredictor
 from mraa.generator import ImageGenerator, LiteGenerator
 from mraa.regions import RegionEstimator, Regions
@@ -54,6 +55,20 @@ class RendererConfig:
     covariance_floor: float = 1e-4
     align_corners: bool = True
     revert_axis_swap: bool = True
+
+    def __post_init__(self) -> None:
+        modes = {"affine_mode": list(ROOTS), "background_kind": list(PARAMETERS)}
+        for name, known in modes.items():
+            if getattr(self, name) not in known:
+                raise ValueError(f"{name} is one of {', '.join(known)}")
+        if self.generator.design not in ("paper", "lite"):
+            raise ValueError("generator.design is paper or lite")
+        if self.regions < 1 or not self.temperature > 0:
+            raise ValueError("regions and temperature must be positive")
+        for name in ("estimator_scale", "flow_scale", "background_scale"):
+            scale = getattr(self, name)
+            if not 0 < scale <= 1 or abs(round(1 / scale) * scale - 1) > 1e-6:
+                raise ValueError(f"{name} must be 1 over a whole number")
 
 
 @dataclass(frozen=True)

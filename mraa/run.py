@@ -5,6 +5,7 @@ A run that is resumed from the checkpoint of step i is therefore the same run, b
 CPU, and a checkpoint holds tensors and one number alone.
 """
 
+import os
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,6 +15,8 @@ from typing import Any
 import numpy as np
 import torch
 from lightning_fabric import Fabric
+from lightning_fabric.strategies import DDPStrategy
+from lightning_fabric.utilities.exceptions import MisconfigurationException
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
@@ -21,7 +24,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 
 from data_prep.errors import BadInput
 from data_prep.output import whole_file
-from data_prep.progress import progress
+from data_prep.progress import console, progress
 
 _STRIDE = 1_000_003  # keeps the seeds of neighbouring steps and runs apart
 
@@ -43,6 +46,8 @@ class RunConfig:
     """Longest work that a kill can lose."""
     log_every: int = 10
     """Steps between points of the curves."""
+    identity: str = ""
+    """What a stage is trained on; a checkpoint of something else is not resumed."""
 
 
 def native_precision(device: str = "auto") -> str:
@@ -52,6 +57,28 @@ def native_precision(device: str = "auto") -> str:
     names = ("_is_avx512_bf16_supported", "_is_amx_tile_supported")  # torch 2.6 and newer
     native = any(getattr(torch.cpu, name, bool)() for name in names)
     return "bf16-mixed" if native else "32-true"
+
+
+def launch(config: RunConfig) -> Fabric:
+    """Start (or join) the processes that a configuration asks for.
+
+    Raises:
+        BadInput: a device or precision that this machine does not have.
+    """
+    world = max(config.devices, int(os.environ.get("WORLD_SIZE", "1")))
+    try:
+        fabric = Fabric(
+            accelerator=config.device,
+            devices=config.devices,
+            precision=config.precision,  # type: ignore[arg-type]
+            # the warm-up of the renderer leaves its generator without gradients
+            strategy=DDPStrategy(find_unused_parameters=True) if world > 1 else "auto",
+        )
+        fabric.launch()
+    except (ValueError, RuntimeError, MisconfigurationException) as error:
+        reason = str(error).splitlines()[0]
+        raise BadInput(f"--device, --devices or --precision: {reason}") from error
+    return fabric
 
 
 class _StepSampler(Sampler[list[tuple[int, int]]]):
@@ -130,12 +157,7 @@ class Run:
     ) -> None:
         self.config = config or RunConfig()
         self.folder, self.stage, self.total, self.seed = Path(folder), stage, steps, seed
-        self.fabric = Fabric(
-            accelerator=self.config.device,
-            devices=self.config.devices,
-            precision=self.config.precision,  # type: ignore[arg-type]
-        )
-        self.fabric.launch()
+        self.fabric = launch(self.config)
         self.resume = resume
         self.first = 0
         self.step = 0
@@ -160,13 +182,23 @@ class Run:
     ) -> tuple[Any, torch.optim.Optimizer]:
         """Place model and optimiser, and restore both when resuming."""
         self._models, self._optimizer = [model], optimizer
-        if self.resume and self.checkpoint.exists():
-            self.first = self.step = load_checkpoint(self.checkpoint, model, optimizer)
         if self.fabric.world_size > 1:
             model = nn.SyncBatchNorm.convert_sync_batchnorm(model) if _cuda(self) else model
         wrapped, placed = self.fabric.setup(model, optimizer)
         self._models, self._optimizer = [wrapped.module], placed
+        if self.resume and self.checkpoint.exists():
+            self.first = self.step = self._restore(wrapped.module, placed)
+        elif self.fabric.global_rank == 0:
+            self.checkpoint.unlink(missing_ok=True)  # of an earlier training
+        self.fabric.barrier()
         return wrapped, placed
+
+    def _restore(self, model: nn.Module, optimizer: torch.optim.Optimizer) -> int:
+        """Steps of the checkpoint, or 0 if it was trained on something else."""
+        if checkpoint_identity(self.checkpoint) != self.config.identity:
+            console.print(f"{self.stage}: the checkpoint was trained on something else; anew")
+            return 0
+        return load_checkpoint(self.checkpoint, model, optimizer)
 
     def batches(self, items: Any, batch_size: int) -> Iterator[Any]:
         """Endless batches from the step at which this run begins.
@@ -199,19 +231,21 @@ class Run:
         """Steps that remain; seeds torch at each, shows progress, writes checkpoints."""
         self.folder.mkdir(parents=True, exist_ok=True)
         saved = time.monotonic()
-        with progress(self.stage, self.total, "steps", self.first) as advance:
-            for step in range(self.first, self.total):
-                self.step = step
-                torch.manual_seed(self.seed * _STRIDE + step)
-                yield step
-                advance(1, self._note)
-                self.step = step + 1
-                if time.monotonic() - saved > self.config.checkpoint_seconds:
-                    self.save()
-                    saved = time.monotonic()
-        self.save()
-        if self._curves is not None:
-            self._curves.flush()
+        try:
+            with progress(self.stage, self.total, "steps", self.first) as advance:
+                for step in range(self.first, self.total):
+                    self.step = step
+                    torch.manual_seed((self.seed * _STRIDE + step) * 64 + self.fabric.global_rank)
+                    yield step
+                    advance(1, self._note)
+                    self.step = step + 1
+                    if time.monotonic() - saved > self.config.checkpoint_seconds:
+                        self.save()
+                        saved = time.monotonic()
+            self.save()
+        finally:
+            if self._curves is not None:
+                self._curves.close()
 
     def backward(self, loss: Tensor) -> None:
         """Gradients of a scalar loss, scaled and averaged as precision and devices ask."""
@@ -249,13 +283,20 @@ class Run:
         if self._curves is None:
             from torch.utils.tensorboard import SummaryWriter
 
-            self._curves = SummaryWriter(str(self.folder / "curves" / self.stage))
+            folder = self.folder / "curves" / self.stage
+            self._curves = SummaryWriter(str(folder), purge_step=self.first)
         return self._curves
 
     def save(self) -> None:
         """Write the checkpoint of the steps done so far; whole or not at all."""
         if self.fabric.global_rank == 0 and self._optimizer is not None:
-            save_checkpoint(self.checkpoint, self._models[0], self._optimizer, self.step)
+            save_checkpoint(
+                self.checkpoint,
+                self._models[0],
+                self._optimizer,
+                self.step,
+                self.config.identity,
+            )
         self.fabric.barrier()
 
 
@@ -264,15 +305,29 @@ def _cuda(run: Run) -> bool:
 
 
 def save_checkpoint(
-    path: Path, model: nn.Module, optimizer: torch.optim.Optimizer, step: int
+    path: Path, model: nn.Module, optimizer: torch.optim.Optimizer, step: int, identity: str = ""
 ) -> None:
-    """Write model, optimiser and step as one safetensors file."""
+    """Write model, optimiser, step and identity as one safetensors file."""
     tensors = {f"model.{k}": v.detach().clone() for k, v in model.state_dict().items()}
     for number, state in optimizer.state_dict()["state"].items():
         for name, value in state.items():
             tensors[f"optimizer.{number}.{name}"] = torch.as_tensor(value).detach().clone()
     with whole_file(path, force=True) as part:
-        save_file({k: v.contiguous().cpu() for k, v in tensors.items()}, part, {"step": str(step)})
+        notes = {"step": str(step), "identity": identity}
+        save_file({k: v.contiguous().cpu() for k, v in tensors.items()}, part, notes)
+
+
+def checkpoint_identity(path: Path) -> str:
+    """What a checkpoint was trained on.
+
+    Raises:
+        BadInput: the file is damaged.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            return str((file.metadata() or {}).get("identity", ""))
+    except SafetensorError as error:
+        raise BadInput(f"{path}: the checkpoint is damaged; train without --resume") from error
 
 
 def load_checkpoint(path: Path, model: nn.Module, optimizer: torch.optim.Optimizer) -> int:

@@ -3,6 +3,7 @@
 import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -40,6 +41,8 @@ class RendererTraining:
     perceptual: float = 10.0
     equivariance_shift: float = 10.0
     equivariance_affine: float = 10.0
+    clip: float = 10.0
+    """Largest norm of the gradients; those of the affine grow for round regions."""
     augmentation: Augmentation = field(default_factory=Augmentation)
     sheet_every: int = 500
     """Steps between sheets of samples."""
@@ -49,6 +52,17 @@ class RendererTraining:
     blur over what moves before any region has found it. Images are reduced to `warmup_size`, which
     the estimator and the flow predictor see at the same resolution as later."""
     warmup_size: int = 128
+    warmup_gap: int = 12
+    """Largest distance in frames of a pair in the warm-up: hands that jump across the picture give
+    no gradient to a region that is not on them yet."""
+
+    def __post_init__(self) -> None:
+        if min(self.batch, self.epochs, self.repeats, self.sheet_every) < 1 or self.steps < 0:
+            raise ValueError("batch, epochs, repeats and sheet_every must be positive")
+        if not 0 < self.rate < 1:
+            raise ValueError("rate must lie between 0 and 1")
+        if self.warmup_size not in (64, 128, 256):
+            raise ValueError("warmup_size is 64, 128 or 256")
 
 
 class _Objective(nn.Module):
@@ -112,11 +126,12 @@ def train_renderer(
     steps = training.steps or max(
         1, training.epochs * training.repeats * len(clips) // training.batch
     )
+    torch.manual_seed(seed)
     renderer = Renderer(config)
-    how = {"seed": seed, "run_config": run_config, "resume": resume}
+    how: dict[str, Any] = {"seed": seed, "run_config": run_config, "resume": resume}
     if training.warmup_steps:
         size = training.warmup_size
-        small = RendererStage("warmup", training.warmup_steps, size, (), motion_alone=True)
+        small = RendererStage("warmup", training.warmup_steps, size, (), True, training.warmup_gap)
         taught = Renderer(reduced(config, size))
         _train(dataset, taught, training, folder, small, **how)
         take_weights(renderer, taught)
@@ -136,6 +151,7 @@ class RendererStage:
         size: of the images in pixels.
         milestones: steps at which the rate falls.
         motion_alone: compare the deformed source; the generator rests.
+        gap: largest distance in frames of a pair, 0 for any.
     """
 
     name: str
@@ -143,6 +159,7 @@ class RendererStage:
     size: int
     milestones: tuple[int, ...]
     motion_alone: bool = False
+    gap: int = 0
 
 
 def reduced(config: RendererConfig, size: int) -> RendererConfig:
@@ -172,7 +189,7 @@ def _train(
     resume: bool,
 ) -> None:
     run = Run(folder, stage.name, steps=stage.steps, seed=seed, config=run_config, resume=resume)
-    renderer.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    renderer.to(memory_format=torch.channels_last)
     adam = torch.optim.Adam(renderer.parameters(), lr=training.rate, betas=training.betas)
     objective, optimizer = run.setup(_Objective(renderer, training, stage.motion_alone), adam)
     perceptual = PerceptualPyramid(
@@ -181,7 +198,9 @@ def _train(
         training.perceptual_scales,
         training.perceptual,
     ).to(run.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-    pairs = FramePairs(dataset, dataset.clips("train"), training.augmentation, stage.size)
+    pairs = FramePairs(
+        dataset, dataset.clips("train"), training.augmentation, stage.size, stage.gap
+    )
     batches = run.batches(pairs, training.batch)
     for step in run.steps():
         run.rate(optimizer, training.rate, stage.milestones)
@@ -195,6 +214,7 @@ def _train(
             reconstruction = perceptual(prediction, driving)
         loss = reconstruction + terms["shift"] + terms["affine"]
         run.backward(loss)
+        run.clip(objective, optimizer, training.clip)
         optimizer.step()
         optimizer.zero_grad()
         run.log(

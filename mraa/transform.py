@@ -37,9 +37,11 @@ class ThinPlate:
         """Image (B, C, H, W) seen through W, reflected at the borders."""
         height, width = image.shape[2:]
         grid = coordinate_grid(height, width, image.device)
-        linear = torch.einsum("hwj,bij->bhwi", grid, self.theta[:, :, :2])
-        radial = _grid_basis(height, width, image.device) @ self.coefficients[:, 0].T  # (hw, B)
-        flow = linear + self.theta[:, None, None, :, 2] + radial.T.view(-1, height, width, 1)
+        with torch.autocast(image.device.type, enabled=False):  # coordinates need float32
+            linear = torch.einsum("hwj,bij->bhwi", grid, self.theta[:, :, :2])
+            radial = _grid_basis(height, width, image.device) @ self.coefficients[:, 0].T
+            radial = radial.T.view(-1, height, width, 1)
+            flow = linear + self.theta[:, None, None, :, 2] + radial
         return warp(image, flow, align_corners=align_corners, padding="reflection")
 
     def jacobian(self, coordinates: Tensor) -> Tensor:

@@ -31,7 +31,7 @@ SECONDS = 12.0
 
 def ship_bundle(trained: Bundle, folder: Path) -> None:
     """Copy the parts of a bundle in half precision, in order, so that the hashes chain."""
-    with whole_folder(folder, force=True) as part:
+    with whole_folder(folder, mark="bundle.json", force=True) as part:
         shipped = Bundle.create(part, trained.preset)
         shipped.manifest["speakers"] = trained.manifest["speakers"]
         shipped.manifest["crop"] = trained.manifest["crop"]
@@ -58,7 +58,6 @@ def main() -> None:
     for path in sorted(BUNDLE.parent.rglob("*")):
         if path.is_file():
             print(f"{path.stat().st_size / 1e6:6.2f} MB  {path.relative_to(BUNDLE.parent)}")
-    shutil.rmtree(BUNDLE / "train", ignore_errors=True)
 
 
 if __name__ == "__main__":

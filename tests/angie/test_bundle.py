@@ -108,8 +108,29 @@ def test_training_tells_wrong_arguments(dataset, copy, tmp_path):
         train(tmp_path, tmp_path / "new")
     with pytest.raises(BadInput, match="made with --preset tiny"):
         train(dataset.path, copy, preset=preset("lite"), resume=True)
-    with pytest.raises(BadInput, match="run angie train --stage motion"):
+    with pytest.raises(BadInput, match="has no renderer yet"):
         train(dataset.path, tmp_path / "new", preset=preset("tiny"), stage="vq")
+
+
+def test_settings_that_do_not_fit_the_parts_are_refused(copy):
+    manifest = json.loads((copy / "bundle.json").read_text())
+    manifest["config"]["renderer"]["temperature"] = 0.2
+    (copy / "bundle.json").write_text(json.dumps(manifest))
+    with pytest.raises(BadInput, match="renderer was trained with other settings"):
+        Bundle.open(copy).renderer()
+
+
+def test_a_part_trained_again_makes_those_after_it_train_again(dataset, bundle, tmp_path):
+    folder = tmp_path / "bundle"
+    shutil.copytree(bundle.folder, folder)
+    train(dataset.path, folder, stage="vq", resume=True, seed=1)
+    again = Bundle.open(folder)
+    assert again.has("vq") and not again.has("gpt")
+    assert again.hash_of("vq") != bundle.hash_of("vq")
+    finished = train(dataset.path, folder, resume=True, seed=1)
+    assert all(finished.has(part) for part in UPSTREAM)
+    assert finished.hash_of("renderer") == bundle.hash_of("renderer")
+    assert finished.hash_of("gpt") != bundle.hash_of("gpt")
 
 
 def test_resume_keeps_finished_stages(dataset, bundle, capsys):

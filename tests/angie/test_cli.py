@@ -75,6 +75,11 @@ def test_bad_input_is_one_line(inputs, bundle, tmp_path, capsys, photo, speech, 
     [
         (["-o", "{tmp}/none/out.mp4"], "does not exist"),
         (["-o", "{tmp}/taken.mp4"], "exists already"),
+        (["-o", "/proc/out.mp4"], "cannot write there"),  # read-only, for root too
+        (["-o", "{tmp}/" + "x" * 300 + ".mp4"], "too long"),
+        (["-o", "{tmp}/new.mp4", "--crop", "-500,0,100"], "outside"),
+        (["-o", "{tmp}/new.mp4", "--crop", "0,0,1000000"], "too large"),
+        (["-o", "{tmp}/new.mp4", "--device", "cpu:x"], "--device"),
         (["-o", "{tmp}/new.mp4", "--crop", "1,2"], "x,y,size"),
         (["-o", "{tmp}/new.mp4", "--crop", "5000,0,100"], "outside"),
         (["-o", "{tmp}/new.mp4", "--device", "cuda:99"], "--device"),
@@ -119,6 +124,37 @@ def test_prepare_and_train_tell_bad_input(tmp_path, capsys):
     status, _, err = call(capsys, "train", tmp_path, "-o", tmp_path / "bundle")
     assert status == 2 and "no dataset" in err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--device", "tpu9"], "--device tpu9"),
+        (["--precision", "8-bit"], "--precision 8-bit"),
+        (["--seed", "-1"], "--seed"),
+        (["--preset", "huge"], "--preset huge"),
+        (["gtp.layers=4"], "nearest is gpt"),
+        (["--stage", "vq"], "no renderer yet"),
+        (["train_renderer.perceptual_weights=none.pth"], "none.pth"),
+    ],
+)
+def test_bad_training_options_leave_nothing(dataset, tmp_path, capsys, options, words):
+    where = ["train", dataset.path, "-o", tmp_path / "bundle"]
+    status, out, err = call(capsys, *where, *options)
+    assert status == 2 and out == "" and words in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_force_replaces_only_folders_of_its_own(phantom_videos, tmp_path, capsys):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").write_text("keep me")
+    for command in (["phantom"], ["prepare", phantom_videos]):
+        status, _, err = call(capsys, *command, "-o", tmp_path / "mine", "--force")
+        assert status == 2 and "holds other things" in err
+    status, _, err = call(capsys, "prepare", phantom_videos, "-o", phantom_videos, "--force")
+    assert status == 2 and "would replace the input" in err
+    assert (tmp_path / "mine" / "letter.txt").read_text() == "keep me"
+    assert list(phantom_videos.rglob("*.mp4"))
 
 
 def test_usage_errors_exit_with_2(capsys):

@@ -15,9 +15,10 @@ class Numbers:
         return torch.tensor([index, random.random()], dtype=torch.float32)
 
 
-def work(folder, steps, resume=False, width=4):
+def work(folder, steps, resume=False, width=4, identity=""):
     """A few steps of a network whose dropout and data are random."""
-    run = Run(folder, "toy", steps=steps, seed=3, resume=resume, config=RunConfig(log_every=1))
+    config = RunConfig(device="cpu", log_every=1, identity=identity)
+    run = Run(folder, "toy", steps=steps, seed=3, resume=resume, config=config)
     torch.manual_seed(0)
     model = nn.Sequential(nn.Linear(2, width), nn.BatchNorm1d(width), nn.Dropout(0.5))
     model, optimizer = run.setup(model, torch.optim.Adam(model.parameters(), lr=0.1))
@@ -33,7 +34,7 @@ def work(folder, steps, resume=False, width=4):
         optimizer.zero_grad()
         run.log(loss=loss)
         seen.append(batch.clone())
-        losses.append(float(loss))
+        losses.append(loss.item())
     return model.state_dict(), seen, losses
 
 
@@ -65,6 +66,14 @@ def test_a_checkpoint_of_another_architecture_is_refused(tmp_path):
     work(tmp_path, 2)
     with pytest.raises(BadInput, match="another architecture"):
         work(tmp_path, 4, resume=True, width=5)
+
+
+def test_a_checkpoint_of_other_data_is_not_resumed(tmp_path):
+    _, _, first = work(tmp_path, 4, identity="one")
+    _, _, other = work(tmp_path, 4, resume=True, identity="two")
+    assert other == first  # all four steps again
+    _, _, same = work(tmp_path, 6, resume=True, identity="two")
+    assert len(same) == 2
 
 
 def test_a_damaged_checkpoint_is_refused(tmp_path):
