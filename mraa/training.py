@@ -6,9 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from data_prep.dataset import Dataset
+from data_prep.errors import BadInput
 from data_prep.rates import IMAGE_SIZE
 from mraa.flow import deformed
 from mraa.losses import PYRAMID_SCALES, PerceptualPyramid, equivariance_of
@@ -44,6 +47,10 @@ class RendererTraining:
     clip: float = 10.0
     """Largest norm of the gradients; those of the affine grow for round regions."""
     augmentation: Augmentation = field(default_factory=Augmentation)
+    initial: str = ""
+    """Not in the paper: weights to begin with, a `renderer.safetensors` of the same sizes."""
+    freeze_estimator: bool = False
+    """Not in the paper: keep the region estimator as it is (a teacher); no equivariance losses."""
     sheet_every: int = 500
     """Steps between sheets of samples."""
     warmup_steps: int = 0
@@ -77,7 +84,10 @@ class _Objective(nn.Module):
 
     def forward(self, source: Tensor, driving: Tensor) -> dict[str, Tensor]:
         renderer, weights = self.renderer, self.training_config
-        both = renderer.estimator(torch.cat([source, driving]))
+        frozen = weights.freeze_estimator
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not frozen):
+            renderer.estimator.train(self.training and not frozen)
+            both = renderer.estimator(torch.cat([source, driving]))
         source_regions, driving_regions = both[: len(source)], both[len(source) :]
         background = renderer.background(source, driving)
         flow = renderer.flow(source, source_regions, driving_regions, background)
@@ -85,6 +95,9 @@ class _Objective(nn.Module):
             prediction = deformed(source, flow, align_corners=renderer.config.align_corners)
         else:
             prediction = renderer.generator(source, flow)
+        if frozen:
+            nothing = prediction.new_zeros(())
+            return {"prediction": prediction, "shift": nothing, "affine": nothing}
         terms = equivariance_of(
             renderer.estimator,
             driving,
@@ -128,11 +141,14 @@ def train_renderer(
     )
     torch.manual_seed(seed)
     renderer = Renderer(config)
+    if training.initial:
+        load_initial(renderer, Path(training.initial))
     how: dict[str, Any] = {"seed": seed, "run_config": run_config, "resume": resume}
     if training.warmup_steps:
         size = training.warmup_size
         small = RendererStage("warmup", training.warmup_steps, size, (), True, training.warmup_gap)
         taught = Renderer(reduced(config, size))
+        take_weights(taught, renderer)
         _train(dataset, taught, training, folder, small, **how)
         take_weights(renderer, taught)
     milestones = tuple(round(part * steps) for part in training.milestones)
@@ -168,6 +184,19 @@ def reduced(config: RendererConfig, size: int) -> RendererConfig:
     scales = ("estimator_scale", "flow_scale", "background_scale")
     changed = {name: min(1.0, getattr(config, name) * factor) for name in scales}
     return dataclasses.replace(config, **changed)
+
+
+def load_initial(renderer: Renderer, path: Path) -> None:
+    """Load weights from a safetensors file.
+
+    Raises:
+        BadInput: missing, unreadable, or of other sizes.
+    """
+    try:
+        renderer.load_state_dict({k: v.float() for k, v in load_file(path).items()})
+    except (OSError, SafetensorError, RuntimeError) as error:
+        reason = str(error).splitlines()[0]
+        raise BadInput(f"{path}: not the weights of such a renderer ({reason})") from error
 
 
 def take_weights(renderer: Renderer, taught: Renderer) -> None:
