@@ -21,6 +21,8 @@ class Flow:
     """(B, 1, h, w) float32 in [0, 1]; 1 where the source shows what is needed."""
     masks: Tensor
     """(B, K + 1, h, w) float32, sums to 1 over regions; index 0 is the background."""
+    blend: Tensor
+    """(B, 3, h, w) float32, the small source deformed by every region and blended by the masks."""
 
 
 def region_heatmap(regions: Regions, height: int, width: int) -> Tensor:
@@ -68,7 +70,7 @@ def sparse_motions(
     return torch.cat([still, moved], dim=1)
 
 
-def deformed(image: Tensor, flow: Flow, *, align_corners: bool) -> Tensor:
+def deform(image: Tensor, flow: Flow, *, align_corners: bool) -> Tensor:
     """The image (B, C, H, W) as the flow alone deforms it."""
     field = resize_flow(flow.flow, *image.shape[2:], align_corners=align_corners)
     return warp(image, field, align_corners=align_corners)
@@ -147,4 +149,5 @@ class FlowPredictor(nn.Module):
         with torch.autocast(small.device.type, enabled=False):
             masks = torch.softmax(mask_logits.float(), dim=1)
             flow = torch.einsum("bkhw,bkhwc->bhwc", masks, motions)
-            return Flow(flow, torch.sigmoid(occlusion_logits.float()), masks)
+            blend = torch.einsum("bkhw,bkchw->bchw", masks, deformed)
+            return Flow(flow, torch.sigmoid(occlusion_logits.float()), masks, blend)

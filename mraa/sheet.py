@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mraa.flow import deformed
+from mraa.flow import deform
 from mraa.regions import Regions
 from mraa.renderer import Renderer, to_pixels
 
@@ -61,7 +61,7 @@ def sample_sheet(renderer: Renderer, source: Tensor, driving: Tensor, rows: int 
     prediction, flow = renderer(source, source_regions, driving_regions, background)
     corners = renderer.config.align_corners
     height, width = source.shape[2:]
-    moved = deformed(source, flow, align_corners=corners)
+    moved = deform(source, flow, align_corners=corners)
     occlusion = torch.nn.functional.interpolate(flow.occlusion, size=(height, width))
     renderer.train(mode)
     columns = [

@@ -13,7 +13,6 @@ from torch import Tensor, nn
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
 from data_prep.rates import IMAGE_SIZE
-from mraa.flow import deformed
 from mraa.losses import PYRAMID_SCALES, PerceptualPyramid, equivariance_of
 from mraa.pairs import Augmentation, FramePairs
 from mraa.renderer import Renderer, RendererConfig, from_pixels
@@ -54,10 +53,11 @@ class RendererTraining:
     sheet_every: int = 500
     """Steps between sheets of samples."""
     warmup_steps: int = 0
-    """Not in the paper: steps before the others in which the source as the flow deforms it, not
-    yet the generated picture, has to match the driving frame. Otherwise the generator paints a
-    blur over what moves before any region has found it. Images are reduced to `warmup_size`, which
-    the estimator and the flow predictor see at the same resolution as later."""
+    """Not in the paper: steps before the others in which the deformed sources, blended by the
+    masks, have to match the small driving frame; the generator rests. A blend of pictures tells a
+    mask which region fits however far that moved, a blend of flows only how to move a little, and a
+    generator would paint a blur over what moves before any region has found it. Images are reduced
+    to `warmup_size`, which estimator and flow predictor see at the same resolution as later."""
     warmup_size: int = 128
     warmup_gap: int = 12
     """Largest distance in frames of a pair in the warm-up: hands that jump across the picture give
@@ -92,7 +92,7 @@ class _Objective(nn.Module):
         background = renderer.background(source, driving)
         flow = renderer.flow(source, source_regions, driving_regions, background)
         if self.motion_alone:
-            prediction = deformed(source, flow, align_corners=renderer.config.align_corners)
+            prediction = flow.blend
         else:
             prediction = renderer.generator(source, flow)
         if frozen:
@@ -166,7 +166,7 @@ class RendererStage:
         steps: of the optimiser.
         size: of the images in pixels.
         milestones: steps at which the rate falls.
-        motion_alone: compare the deformed source; the generator rests.
+        motion_alone: compare the blend of deformed sources; the generator rests.
         gap: largest distance in frames of a pair, 0 for any.
     """
 
@@ -239,8 +239,9 @@ def _train(
         )
         terms = objective(source, driving)
         prediction = terms["prediction"]
+        truth = renderer.flow.down(driving) if stage.motion_alone else driving
         with run.fabric.autocast():
-            reconstruction = perceptual(prediction, driving)
+            reconstruction = perceptual(prediction, truth)
         loss = reconstruction + terms["shift"] + terms["affine"]
         run.backward(loss)
         run.clip(objective, optimizer, training.clip)
@@ -251,7 +252,7 @@ def _train(
             perceptual=reconstruction,
             shift=terms["shift"],
             affine=terms["affine"],
-            l1=(prediction - driving).abs().mean(),
+            l1=(prediction - truth).abs().mean(),
         )
         last = step + 1 == stage.steps
         if run.fabric.global_rank == 0 and (step % training.sheet_every == 0 or last):

@@ -14,9 +14,9 @@ mkdir -p "$work"
   python "$here/teach_regions.py" "$work/raw" "$work/data" "$work/taught.safetensors" "${sizes[@]}"
 angie train "$work/data" -o "$work/bundle" --preset lite --resume "${sizes[@]}" \
   train_renderer.initial="$work/taught.safetensors" train_renderer.freeze_estimator=true \
-  train_renderer.warmup_steps=1000 train_renderer.warmup_gap=50 \
+  train_renderer.warmup_steps=1900 train_renderer.warmup_gap=0 \
   train_renderer.rate=1e-3 "train_renderer.milestones=[0.6, 0.9]" \
-  train_renderer.steps=350 train_renderer.batch=4 train_renderer.sheet_every=100 \
+  train_renderer.steps=220 train_renderer.batch=4 train_renderer.sheet_every=100 \
   train_vq.schedule.most_steps=500 train_gpt.schedule.most_steps=400 train_gpt.checks=20 \
   train_refiner.schedule.most_steps=300 train_refiner.checks=15
 python "$here/ship_default.py" "$work/bundle"
