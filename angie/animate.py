@@ -100,9 +100,9 @@ def animate(
         check_crop(crop, *photo.shape[:2])
         renderer = bundle.renderer().to(device)
         generator = bundle.generator()
-        if not greedy:
-            topk = replace(generator.config.sampling, method="topk")
-            generator.config = replace(generator.config, sampling=topk)
+        method = "greedy" if greedy else "topk"
+        sampling = replace(generator.config.sampling, method=method)
+        generator.config = replace(generator.config, sampling=sampling)
         frames = frames_covering(len(samples))
         cut = torch.from_numpy(cut_out(photo, crop, IMAGE_SIZE))
         picture = from_pixels(cut[None]).to(device)  # (1, 3, 256, 256)

@@ -1,0 +1,40 @@
+"""What ships with the package works, and is what it says."""
+
+import numpy as np
+from PIL import Image
+
+from angie.animate import animate
+from angie.bundle import UPSTREAM, Bundle
+from angie.demo import BUNDLE, DEFAULT, PHOTO, SPEECH
+from data_prep.sound import read_sound, write_wav
+from data_prep.speaker import find_faces
+from data_prep.video import read_frames
+
+
+def test_the_shipped_bundle_is_whole_and_small():
+    bundle = Bundle.open(BUNDLE)
+    assert all(bundle.has(part) for part in UPSTREAM)
+    assert bundle.preset.name == "lite"
+    size = sum(path.stat().st_size for path in DEFAULT.rglob("*") if path.is_file())
+    assert size < 20e6
+    score = bundle.manifest["parts"]["renderer"]["report"]["reconstruction"]
+    assert score["psnr"] > score["copy_psnr"] + 1 and score["l1"] < score["copy_l1"]
+
+
+def test_the_shipped_photo_and_speech_can_be_used():
+    photo = np.asarray(Image.open(PHOTO))
+    assert len(find_faces(photo)) == 1
+    assert 8 < len(read_sound(SPEECH)) / 16_000 < 20
+
+
+def test_the_shipped_presenter_moves_while_speaking(tmp_path):
+    speech = read_sound(SPEECH)[: 3 * 16_000]
+    write_wav(tmp_path / "speech.wav", speech)
+    path = tmp_path / "out.mp4"
+    animate(PHOTO, tmp_path / "speech.wav", path, Bundle.open(BUNDLE))
+    frames = np.stack(list(read_frames(path))).astype(int)
+    assert len(frames) == 75
+    moved = np.abs(frames - frames[0]).mean(axis=(1, 2, 3))
+    assert moved[5:].mean() > 1  # of 255, over the whole picture
+    speed = np.abs(np.diff(frames, axis=0)).mean(axis=(1, 2, 3))
+    assert speed.max() < 25  # nothing jumps
