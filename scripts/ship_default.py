@@ -5,6 +5,7 @@
 Weights are rounded to half precision (they are computed with in float32), which halves the size.
 """
 
+import dataclasses
 import shutil
 import sys
 from pathlib import Path
@@ -32,7 +33,10 @@ SECONDS = 12.0
 def ship_bundle(trained: Bundle, folder: Path) -> None:
     """Copy the parts of a bundle in half precision, in order, so that the hashes chain."""
     with whole_folder(folder, mark="bundle.json", force=True) as part:
-        shipped = Bundle.create(part, trained.preset)
+        training = trained.preset.train_renderer
+        training = dataclasses.replace(training, initial=Path(training.initial).name)
+        preset = dataclasses.replace(trained.preset, train_renderer=training)
+        shipped = Bundle.create(part, preset)
         shipped.manifest["speakers"] = trained.manifest["speakers"]
         shipped.manifest["crop"] = trained.manifest["crop"]
         for name in UPSTREAM:
