@@ -3,6 +3,9 @@
 #   bash scripts/train_default.sh WORK     about an hour on two cores; run again, it goes on
 # The regions are taught the phantom's joints first (see teach_regions.py), then kept; flow, image
 # generator and all that concerns motion are trained as ever.
+# The bundle that ships was stopped and resumed with other warm-up settings on the way (pairs of any
+# distance, then of 50 and 25 frames, then the blend of pictures), so this recipe gives one like it,
+# not the same one.
 set -euo pipefail
 work="${1:?folder to work in}"
 here="$(cd "$(dirname "$0")" && pwd)"
