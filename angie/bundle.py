@@ -36,6 +36,7 @@ from angie.vq import VQMotionExtractor
 from data_prep.errors import BadInput
 from data_prep.output import whole_file
 from data_prep.rates import FPS, IMAGE_SIZE
+from data_prep.source import sha256
 from mraa.renderer import Renderer
 
 FORMAT = 1
@@ -58,15 +59,6 @@ STAGE_OF = {"statistics": "motion"}
 
 TRAIN = "train"
 """Folder in a bundle for checkpoints, curves and caches."""
-
-
-def sha256(path: Path) -> str:
-    """Hex digest of a file."""
-    digest = hashlib.sha256()
-    with open(path, "rb") as file:
-        for block in iter(lambda: file.read(1 << 20), b""):
-            digest.update(block)
-    return digest.hexdigest()
 
 
 def source_commit() -> str:

@@ -187,7 +187,8 @@ def train(
         seed=seed,
         run=how,
     )
-    print(f"{bundle.folder}: {', '.join(bundle.manifest['parts'])}")
+    if int(os.environ.get("LOCAL_RANK", "0")) == 0:  # one line, however many processes
+        print(f"{bundle.folder}: {', '.join(bundle.manifest['parts'])}")
 
 
 @app.command()

@@ -5,6 +5,7 @@ A run that is resumed from the checkpoint of step i is therefore the same run, b
 CPU, and a checkpoint holds tensors and one number alone.
 """
 
+import logging
 import os
 import time
 from collections.abc import Iterator, Sequence
@@ -17,14 +18,12 @@ import torch
 from lightning_fabric import Fabric
 from lightning_fabric.strategies import DDPStrategy
 from lightning_fabric.utilities.exceptions import MisconfigurationException
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset, Sampler
 
 from data_prep.errors import BadInput
-from data_prep.output import whole_file
 from data_prep.progress import console, progress
+from mraa.checkpoint import Scaler, checkpoint_identity, load_checkpoint, save_checkpoint
 
 _STRIDE = 1_000_003  # keeps the seeds of neighbouring steps and runs apart
 
@@ -59,20 +58,24 @@ def native_precision(device: str = "auto") -> str:
     return "bf16-mixed" if native else "32-true"
 
 
-def launch(config: RunConfig) -> Fabric:
+def launch(config: RunConfig, *, resting: bool = False) -> Fabric:
     """Start (or join) the processes that a configuration asks for.
+
+    Args:
+        config: device, processes, precision.
+        resting: some parameters of the model may be left without gradients.
 
     Raises:
         BadInput: a device or precision that this machine does not have.
     """
+    logging.getLogger("lightning_fabric").setLevel(logging.WARNING)  # no line for each launch
     world = max(config.devices, int(os.environ.get("WORLD_SIZE", "1")))
     try:
         fabric = Fabric(
             accelerator=config.device,
             devices=config.devices,
             precision=config.precision,  # type: ignore[arg-type]
-            # the warm-up of the renderer leaves its generator without gradients
-            strategy=DDPStrategy(find_unused_parameters=True) if world > 1 else "auto",
+            strategy=DDPStrategy(find_unused_parameters=resting) if world > 1 else "auto",
         )
         fabric.launch()
     except (ValueError, RuntimeError, MisconfigurationException) as error:
@@ -143,6 +146,7 @@ class Run:
         seed: everything random follows from it.
         config: device, precision and so on.
         resume: go on from the checkpoint if there is one; else start anew.
+        resting: some parameters are not trained in this stage.
     """
 
     def __init__(
@@ -154,10 +158,11 @@ class Run:
         seed: int = 0,
         config: RunConfig | None = None,
         resume: bool = False,
+        resting: bool = False,
     ) -> None:
         self.config = config or RunConfig()
         self.folder, self.stage, self.total, self.seed = Path(folder), stage, steps, seed
-        self.fabric = launch(self.config)
+        self.fabric = launch(self.config, resting=resting)
         self.resume = resume
         self.first = 0
         self.step = 0
@@ -198,7 +203,12 @@ class Run:
         if checkpoint_identity(self.checkpoint) != self.config.identity:
             console.print(f"{self.stage}: the checkpoint was trained on something else; anew")
             return 0
-        return load_checkpoint(self.checkpoint, model, optimizer)
+        return load_checkpoint(self.checkpoint, model, optimizer, self._scaler)
+
+    @property
+    def _scaler(self) -> Scaler | None:
+        """The loss scale; 16-bit training alone has one."""
+        return getattr(self.fabric.strategy.precision, "scaler", None)
 
     def batches(self, items: Any, batch_size: int) -> Iterator[Any]:
         """Endless batches from the step at which this run begins.
@@ -243,6 +253,7 @@ class Run:
                         self.save()
                         saved = time.monotonic()
             self.save()
+            self.fabric.barrier()
         finally:
             if self._curves is not None:
                 self._curves.close()
@@ -288,7 +299,11 @@ class Run:
         return self._curves
 
     def save(self) -> None:
-        """Write the checkpoint of the steps done so far; whole or not at all."""
+        """Write the checkpoint of the steps done so far; whole or not at all.
+
+        The first process alone decides when and writes; the others wait for it in their next
+        step, not here, because their clocks differ.
+        """
         if self.fabric.global_rank == 0 and self._optimizer is not None:
             save_checkpoint(
                 self.checkpoint,
@@ -296,63 +311,9 @@ class Run:
                 self._optimizer,
                 self.step,
                 self.config.identity,
+                self._scaler,
             )
-        self.fabric.barrier()
 
 
 def _cuda(run: Run) -> bool:
     return run.fabric.device.type == "cuda"
-
-
-def save_checkpoint(
-    path: Path, model: nn.Module, optimizer: torch.optim.Optimizer, step: int, identity: str = ""
-) -> None:
-    """Write model, optimiser, step and identity as one safetensors file."""
-    tensors = {f"model.{k}": v.detach().clone() for k, v in model.state_dict().items()}
-    for number, state in optimizer.state_dict()["state"].items():
-        for name, value in state.items():
-            tensors[f"optimizer.{number}.{name}"] = torch.as_tensor(value).detach().clone()
-    with whole_file(path, force=True) as part:
-        notes = {"step": str(step), "identity": identity}
-        save_file({k: v.contiguous().cpu() for k, v in tensors.items()}, part, notes)
-
-
-def checkpoint_identity(path: Path) -> str:
-    """What a checkpoint was trained on.
-
-    Raises:
-        BadInput: the file is damaged.
-    """
-    try:
-        with safe_open(path, framework="pt") as file:
-            return str((file.metadata() or {}).get("identity", ""))
-    except SafetensorError as error:
-        raise BadInput(f"{path}: the checkpoint is damaged; train without --resume") from error
-
-
-def load_checkpoint(path: Path, model: nn.Module, optimizer: torch.optim.Optimizer) -> int:
-    """Restore model and optimiser; returns the number of steps done.
-
-    Raises:
-        BadInput: the file is damaged or belongs to another architecture.
-    """
-    states: dict[int, dict[str, Tensor]] = {}
-    weights: dict[str, Tensor] = {}
-    try:
-        with safe_open(path, framework="pt") as file:
-            step = int(file.metadata()["step"])
-            for key in file.keys():  # noqa: SIM118 (not a dict)
-                kind, _, name = key.partition(".")
-                if kind == "model":
-                    weights[name] = file.get_tensor(key)
-                else:
-                    number, _, field = name.partition(".")
-                    states.setdefault(int(number), {})[field] = file.get_tensor(key)
-        model.load_state_dict(weights)
-    except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
-        raise BadInput(
-            f"{path}: a checkpoint of another architecture or damaged; train without --resume"
-        ) from error
-    groups = optimizer.state_dict()["param_groups"]
-    optimizer.load_state_dict({"state": states, "param_groups": groups})
-    return step

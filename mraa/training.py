@@ -43,6 +43,9 @@ class RendererTraining:
     perceptual: float = 10.0
     equivariance_shift: float = 10.0
     equivariance_affine: float = 10.0
+    occlusion_cost: float = 0.0
+    """Not in the paper: weight of mean(1 - occlusion), so that the generator paints only where the
+    deformed source cannot serve; a person unlike those of the training then stays that person."""
     clip: float = 10.0
     """Largest norm of the gradients; those of the affine grow for round regions."""
     augmentation: Augmentation = field(default_factory=Augmentation)
@@ -91,24 +94,23 @@ class _Objective(nn.Module):
         source_regions, driving_regions = both[: len(source)], both[len(source) :]
         background = renderer.background(source, driving)
         flow = renderer.flow(source, source_regions, driving_regions, background)
+        nothing = flow.occlusion.new_zeros(())
+        terms = {"shift": nothing, "affine": nothing, "painted": nothing}
         if self.motion_alone:
-            prediction = flow.blend
+            terms["prediction"] = flow.blend
         else:
-            prediction = renderer.generator(source, flow)
-        if frozen:
-            nothing = prediction.new_zeros(())
-            return {"prediction": prediction, "shift": nothing, "affine": nothing}
-        terms = equivariance_of(
-            renderer.estimator,
-            driving,
-            driving_regions,
-            align_corners=renderer.config.align_corners,
-        )
-        return {
-            "prediction": prediction,
-            "shift": weights.equivariance_shift * terms.shift,
-            "affine": weights.equivariance_affine * terms.affine,
-        }
+            terms["prediction"] = renderer.generator(source, flow)
+            terms["painted"] = weights.occlusion_cost * (1 - flow.occlusion).mean()
+        if not frozen:
+            losses = equivariance_of(
+                renderer.estimator,
+                driving,
+                driving_regions,
+                align_corners=renderer.config.align_corners,
+            )
+            terms["shift"] = weights.equivariance_shift * losses.shift
+            terms["affine"] = weights.equivariance_affine * losses.affine
+        return terms
 
 
 def train_renderer(
@@ -217,7 +219,15 @@ def _train(
     run_config: RunConfig | None,
     resume: bool,
 ) -> None:
-    run = Run(folder, stage.name, steps=stage.steps, seed=seed, config=run_config, resume=resume)
+    run = Run(
+        folder,
+        stage.name,
+        steps=stage.steps,
+        seed=seed,
+        config=run_config,
+        resume=resume,
+        resting=stage.motion_alone or training.freeze_estimator,
+    )
     renderer.to(memory_format=torch.channels_last)
     adam = torch.optim.Adam(renderer.parameters(), lr=training.rate, betas=training.betas)
     objective, optimizer = run.setup(_Objective(renderer, training, stage.motion_alone), adam)
@@ -242,7 +252,7 @@ def _train(
         truth = renderer.flow.down(driving) if stage.motion_alone else driving
         with run.fabric.autocast():
             reconstruction = perceptual(prediction, truth)
-        loss = reconstruction + terms["shift"] + terms["affine"]
+        loss = reconstruction + terms["shift"] + terms["affine"] + terms["painted"]
         run.backward(loss)
         run.clip(objective, optimizer, training.clip)
         optimizer.step()
@@ -252,6 +262,7 @@ def _train(
             perceptual=reconstruction,
             shift=terms["shift"],
             affine=terms["affine"],
+            painted=terms["painted"],
             l1=(prediction - truth).abs().mean(),
         )
         last = step + 1 == stage.steps
