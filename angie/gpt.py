@@ -12,8 +12,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from angie.sampling import Sampling, draw
+from angie.windows import WINDOW_TOKENS
 from data_prep.features import ONSET_SIZE
-from data_prep.rates import FRAMES_PER_TOKEN
 
 BLOCKS = 3
 """Sound, shift codes, Cholesky codes."""
@@ -38,7 +38,7 @@ class GPTConfig:
     width: int = 768
     heads: int = 12
     layers: int = 12
-    block: int = 96 // FRAMES_PER_TOKEN - 1
+    block: int = WINDOW_TOKENS - 1
     dropout: float = 0.1
 
 

@@ -10,10 +10,10 @@ import torch
 from torch import Tensor, nn
 
 from angie.overlap import cross_fade
+from angie.windows import WINDOW
 from data_prep.features import MFCC_COLUMNS, MFCC_ROWS
 
-WINDOW = 96
-HOP = 48
+HOP = WINDOW // 2
 """Long sound is refined in windows of the training length, cross-faded."""
 
 

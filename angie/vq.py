@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from angie.codebook import Codebook, Quantized
 from angie.overlap import cross_fade
+from angie.windows import WINDOW_TOKENS
 from data_prep.rates import FRAMES_PER_TOKEN
 
 DILATIONS = (1, 3, 9)
@@ -173,7 +174,9 @@ class VQMotionExtractor(nn.Module):
         shift, cholesky = codes.unbind(1)
         return torch.cat([self.shift.decode(shift), self.cholesky.decode(cholesky)], dim=-1)
 
-    def decode_chunked(self, codes: Tensor, window: int = 12, hop: int = 6) -> Tensor:
+    def decode_chunked(
+        self, codes: Tensor, window: int = WINDOW_TOKENS, hop: int = WINDOW_TOKENS // 2
+    ) -> Tensor:
         """Deltas (8S, 5K) on the CPU of one sequence of codes (2, S), in windows as in training.
 
         Windows of 12 codes every 6 are decoded by themselves and cross-faded linearly, so that no
@@ -188,7 +191,7 @@ class VQMotionExtractor(nn.Module):
 
         return cross_fade(frames, size * FRAMES_PER_TOKEN, hop * FRAMES_PER_TOKEN, compute)
 
-    def start_codes(self, window: int = 12) -> Tensor:
+    def start_codes(self, window: int = WINDOW_TOKENS) -> Tensor:
         """Codes (2,) of a person who does not move: the first of a window of zero deltas."""
         frames, channels = window * FRAMES_PER_TOKEN, 5 * self.config.regions
         return self.encode(torch.zeros(1, frames, channels, device=self.mean.device))[0, :, 0]

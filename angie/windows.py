@@ -14,6 +14,9 @@ from data_prep.rates import FRAMES_PER_TOKEN
 WINDOW = 96
 """Frames of a training window (ANGIE, section 4)."""
 
+WINDOW_TOKENS = WINDOW // FRAMES_PER_TOKEN
+"""Codes of a window."""
+
 STRIDE = 32
 """Frames from one training window to the next (ANGIE, section 4)."""
 

@@ -79,4 +79,5 @@ def write_sheet(path: Path, renderer: Renderer, source: Tensor, driving: Tensor)
     """Write `sample_sheet` as PNG, making its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     sheet = sample_sheet(renderer, source, driving)
-    cv2.imwrite(str(path), cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))
+    # OpenCV itself does not write to every name on every system
+    path.write_bytes(cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))[1].tobytes())
