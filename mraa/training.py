@@ -46,6 +46,9 @@ class RendererTraining:
     occlusion_cost: float = 0.0
     """Not in the paper: weight of mean(1 - occlusion), so that the generator paints only where the
     deformed source cannot serve; a person unlike those of the training then stays that person."""
+    blend: float = 0.0
+    """Not in the paper: weight, beside `perceptual`, of the warm-up's loss in the main course. It
+    holds the masks on what they have found while the generator is still poor."""
     clip: float = 10.0
     """Largest norm of the gradients; those of the affine grow for round regions."""
     augmentation: Augmentation = field(default_factory=Augmentation)
@@ -95,10 +98,8 @@ class _Objective(nn.Module):
         background = renderer.background(source, driving)
         flow = renderer.flow(source, source_regions, driving_regions, background)
         nothing = flow.occlusion.new_zeros(())
-        terms = {"shift": nothing, "affine": nothing, "painted": nothing}
-        if self.motion_alone:
-            terms["prediction"] = flow.blend
-        else:
+        terms = {"shift": nothing, "affine": nothing, "painted": nothing, "blend": flow.blend}
+        if not self.motion_alone:
             terms["prediction"] = renderer.generator(source, flow)
             terms["painted"] = weights.occlusion_cost * (1 - flow.occlusion).mean()
         if not frozen:
@@ -248,10 +249,15 @@ def _train(
             from_pixels(x).contiguous(memory_format=torch.channels_last) for x in pair.unbind(1)
         )
         terms = objective(source, driving)
-        prediction = terms["prediction"]
-        truth = renderer.flow.down(driving) if stage.motion_alone else driving
+        small = renderer.flow.down(driving)
+        if stage.motion_alone:
+            prediction, truth = terms["blend"], small
+        else:
+            prediction, truth = terms["prediction"], driving
         with run.fabric.autocast():
             reconstruction = perceptual(prediction, truth)
+            if training.blend and not stage.motion_alone:
+                reconstruction = reconstruction + training.blend * perceptual(terms["blend"], small)
         loss = reconstruction + terms["shift"] + terms["affine"] + terms["painted"]
         run.backward(loss)
         run.clip(objective, optimizer, training.clip)

@@ -17,6 +17,6 @@ mkdir -p "$work"
 angie train "$work/data" -o "$work/bundle" --preset lite --resume "${sizes[@]}" \
   train_renderer.initial="$work/taught.safetensors" train_renderer.freeze_estimator=true \
   train_renderer.warmup_steps=0 train_renderer.steps=1800 train_renderer.batch=4 \
-  train_renderer.rate=1e-3 "train_renderer.milestones=[0.6, 0.9]" train_renderer.sheet_every=200 \
-  train_renderer.occlusion_cost=4 "${jitter[@]/#/train_renderer.augmentation.}"
+  train_renderer.rate=4e-4 "train_renderer.milestones=[0.6, 0.9]" train_renderer.sheet_every=200 \
+  train_renderer.occlusion_cost=2 train_renderer.blend=0.5 "${jitter[@]/#/train_renderer.augmentation.}"
 python "$here/ship_default.py" "$work/bundle"

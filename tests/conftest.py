@@ -13,6 +13,7 @@ from data_prep.phantom.make import make_phantom
 from data_prep.prepare import prepare
 
 FEW_STEPS = (
+    "train_renderer.batch=2",
     "train_renderer.steps=200",
     "train_vq.schedule.most_steps=40",
     "train_gpt.schedule.most_steps=30",

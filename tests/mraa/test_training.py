@@ -1,12 +1,13 @@
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 
 from data_prep.errors import BadInput
 from mraa.losses import PerceptualPyramid, Vgg, load_vgg19, random_vgg
 from mraa.pairs import Augmentation, FramePairs, augment
-from mraa.renderer import GeneratorConfig, HourglassConfig, RendererConfig
-from mraa.training import RendererTraining, train_renderer
+from mraa.renderer import GeneratorConfig, HourglassConfig, Renderer, RendererConfig
+from mraa.training import RendererTraining, _Objective, train_renderer
 
 SMALL = RendererConfig(
     regions=3,
@@ -37,6 +38,38 @@ def test_resumed_training_is_the_uninterrupted_one(dataset, tmp_path):
     parts = run("parts", 4, resume=True).state_dict()
     assert all(torch.equal(whole[k], parts[k]) for k in whole)
     assert (tmp_path / "whole" / "sheets" / "renderer-0000003.png").stat().st_size > 10_000
+
+
+def test_a_frozen_estimator_stays_and_the_rest_learns(dataset, tmp_path):
+    torch.manual_seed(3)
+    given = Renderer(SMALL).state_dict()
+    save_file(given, tmp_path / "given.safetensors")
+    training = RendererTraining(
+        steps=2,
+        batch=2,
+        perceptual_width=4,
+        perceptual_scales=(0.25,),
+        initial=str(tmp_path / "given.safetensors"),
+        freeze_estimator=True,
+        blend=0.5,
+        occlusion_cost=1.0,
+    )
+    learned = train_renderer(dataset, SMALL, training, tmp_path / "run").state_dict()
+    changed = {k.split(".")[0] for k in given if not torch.equal(given[k], learned[k])}
+    assert changed == {"background", "flow", "generator"}
+
+
+def test_painting_costs_what_the_occlusion_hides():
+    torch.manual_seed(0)
+    renderer = Renderer(SMALL).eval()
+    source, driving = torch.rand(2, 1, 3, 256, 256)
+    with torch.no_grad():
+        terms = _Objective(renderer, RendererTraining(occlusion_cost=3.0)).eval()(source, driving)
+        regions, moved = renderer.estimator(source), renderer.estimator(driving)
+        flow = renderer.flow(source, regions, moved, renderer.background(source, driving))
+    assert 0 < float(terms["painted"]) < 3
+    torch.testing.assert_close(terms["painted"], 3 * (1 - flow.occlusion).mean())
+    torch.testing.assert_close(terms["blend"], flow.blend)
 
 
 def test_pairs_are_frames_of_one_clip_in_order(dataset):
