@@ -10,6 +10,7 @@ import numpy as np
 from av.video.frame import VideoFrame
 
 from data_prep.container import open_media
+from data_prep.errors import BadInput
 from data_prep.outcome import Outcome, Span
 from data_prep.rates import FPS
 
@@ -75,7 +76,7 @@ def _pictures(
                     if now >= time - 0.5 / FPS:
                         yield now, _upright(frame, size)
                         break
-    except (av.error.FFmpegError, OSError, ValueError, IndexError):
+    except (BadInput, av.error.FFmpegError, OSError, ValueError, IndexError):
         return  # the sheet ends where the picture is damaged; the outcome tells of it
 
 
