@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from data_prep.clip_files import FOLDERS
 from data_prep.dataset import Clip
 from data_prep.outcome import ClipDetail, IngestionConfig, Outcome, Span
@@ -89,10 +91,17 @@ def sheet_path(folder: Path, name: str) -> Path:
 
 def write_json(path: Path, content: Any) -> None:
     """Write JSON that appears whole, with a line for each entry."""
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False, default=_bare)
     part = path.with_name(f".{path.name}.part")
     part.write_text(text + "\n", encoding="utf-8")
     os.replace(part, path)
+
+
+def _bare(value: Any) -> Any:
+    """A NumPy number as Python's own."""
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} has no place in JSON")
 
 
 def write_record(folder: Path, record: Record) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from data_prep.dataset import Clip
 from data_prep.pats import MISSING, Missing
-from data_prep.rates import FPS
+from data_prep.rates import FPS, IMAGE_SIZE
 from data_prep.record import Record
 from data_prep.split import SPLITS, Split
 
@@ -18,6 +18,12 @@ REPORT = "report.html"
 GAP_REASON = "left unused between splits"
 LEFT_OVER = "too short for a clip, or past the end of the sound"
 OUTSIDE = "outside of the intervals"
+
+SMALL = 0.75
+"""Part of the frames' size below which a crop is told to be small."""
+
+MUCH_FILLED = 0.15
+"""Part of a crop from which on it is told that it lies outside of the picture."""
 
 _NEGLIGIBLE = 0.05
 """Seconds that rounding of durations leaves over."""
@@ -105,7 +111,9 @@ class Summary:
     def warnings(self) -> list[str]:
         """What a person should know, one line each."""
         lines = [f"{double.name}: the same video as {first.name}" for double, first in self.doubles]
-        lines += [f"{r.outcome.source.path.name}: {w}" for r in self.records for w in r.warnings]
+        for record in self.records:
+            name = record.outcome.source.path.name
+            lines += [f"{name}: {warning}" for warning in (*record.warnings, *_soft(record))]
         for speaker, rule in self.split.rules.items():
             own = {clip.split for clip in self.clips if clip.speaker == speaker}
             for split in [name for name in SPLITS if name not in own]:
@@ -143,6 +151,21 @@ class Summary:
             )
         lines.append(f"  look at {self.path / REPORT}")
         return "\n".join(lines)
+
+
+def _soft(record: Record) -> list[str]:
+    """What makes the pictures of a source worse than others."""
+    used = [s for s in record.outcome.spans if s.reason is None and s.crop is not None]
+    sizes = [span.crop.size for span in used if span.crop is not None]
+    if record.outcome.refused is not None or not used:
+        return []
+    lines = []
+    if min(sizes) < SMALL * IMAGE_SIZE:
+        lines.append(f"a crop of {min(sizes)} pixels is enlarged to {IMAGE_SIZE} and looks soft")
+    filled = max(span.filled for span in used)
+    if filled > MUCH_FILLED:
+        lines.append(f"{filled:.0%} of a crop lies outside of the picture and repeats its edge")
+    return lines
 
 
 def brief(reason: str) -> str:
