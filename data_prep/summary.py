@@ -109,7 +109,7 @@ class Summary:
 
     @cached_property
     def warnings(self) -> list[str]:
-        """What a person should know, one line each."""
+        """What a person should know of the dataset, one line each."""
         lines = [f"{double.name}: the same video as {first.name}" for double, first in self.doubles]
         for record in self.records:
             name = record.outcome.source.path.name
@@ -118,11 +118,6 @@ class Summary:
             own = {clip.split for clip in self.clips if clip.speaker == speaker}
             for split in [name for name in SPLITS if name not in own]:
                 lines.append(f"{speaker}: no clip for {split} ({rule})")
-        if self.moved:
-            lines.append(
-                f"{self.moved} clips are of another split than before; what was trained on the "
-                "dataset must not be tested on it"
-            )
         return lines
 
     def __str__(self) -> str:
@@ -143,6 +138,11 @@ class Summary:
         lines += [f"  dropped {s:.1f} s: {reason}" for reason, s in self.dropped.items()]
         lines += _shortened([f"  refused {path}: {reason}" for path, reason in self.refused])
         lines += _shortened([f"  warning: {line}" for line in self.warnings])
+        if self.moved:
+            lines.append(
+                f"  warning: {self.moved} clips are of another split than before; what was "
+                "trained on the dataset must not be tested on it"
+            )
         if self.missing:
             videos = {m.interval.file or m.interval.link for m in self.missing}
             lines.append(

@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_prep.dataset import Dataset
+from data_prep.dataset import Clip, Dataset
 from data_prep.errors import BadInput
 from data_prep.lock import locked
 from data_prep.outcome import IngestionConfig
 from data_prep.prepare import prepare
 from data_prep.speaker import Crop
+from data_prep.split import split_clips
 from data_prep.summary import Summary
 from data_prep.video import VideoWriter
 
@@ -114,55 +115,62 @@ def test_two_processes_make_the_same(talks: Path, undisturbed: Path) -> None:
 
 
 def test_a_later_video_is_added_alone(talks: Path, undisturbed: Path, tmp_path: Path) -> None:
-    some, output = tmp_path / "ann", tmp_path / "data"
-    shutil.copytree(talks, some)
-    later = some / "2.mp4"
-    later.rename(tmp_path / "2.mp4")
-    again(some, output)
+    from conftest import draw_person
+
+    output = tmp_path / "data"
+    shutil.copytree(undisturbed, output)
     (output / "notes.txt").write_text("mine")
     splits = {clip.id: clip.split for clip in Dataset(output).clips()}
     before = {path: path.stat().st_ino for path in output.glob("*/ann_*")}
     with pytest.raises(BadInput, match="--add"):
-        again(some, output)
-    (tmp_path / "2.mp4").rename(later)
-    shutil.copy(later, some / "0-copy.mp4")
+        again(talks, output)
+    some = tmp_path / "ann"
+    shutil.copytree(talks, some)
+    write_talk(some / "2-later.mp4", draw_person, 7)
+    shutil.copy(some / "2-later.mp4", some / "3.mp4")
     summary = again(some, output, add=True)
-    assert summary.done_before == 2 and summary.moved == 0
-    assert [(a.name, b.name) for a, b in summary.doubles] == [("2.mp4", "0-copy.mp4")]
+    assert summary.done_before == 3 and summary.moved == 0
+    assert [(a.name, b.name) for a, b in summary.doubles] == [("3.mp4", "2-later.mp4")]
+    assert len(before) >= 3 * 6
     assert all(path.stat().st_ino == inode for path, inode in before.items())
     clips = Dataset(output).clips()
-    assert sorted(c.source for c in clips) == ["ann_0", "ann_0-copy", "ann_1"]
+    assert sorted(c.source for c in clips) == ["ann_0", "ann_1", "ann_2", "ann_2-later"]
     assert {c.id: c.split for c in clips if c.id in splits} == splits
     assert (output / "notes.txt").read_text() == "mine"
-    # what was there need not be named again
-    write_talk(tmp_path / "new.mp4", _draw(), 7)
-    summary = prepare([tmp_path / "new.mp4"], output, speaker="ann", config=CONFIG, add=True)
-    assert len(summary.clips) == 4 and summary.done_before == 0
+    # what was there need not be named again, and another folder's 0.mp4 is another video
+    (tmp_path / "other").mkdir()
+    write_talk(tmp_path / "other" / "0.mp4", draw_person, 8)
+    summary = prepare([tmp_path / "other"], output, speaker="ann", config=CONFIG, add=True)
+    assert summary.done_before == 0
+    assert sorted({c.source for c in summary.clips} - {c.source for c in clips}) == ["ann_0-2"]
+    assert len(summary.clips) == 5
 
 
-def _draw() -> Callable[..., np.ndarray]:
-    from conftest import draw_person
-
-    return draw_person
-
-
-def test_what_has_changed_is_made_again(talks: Path, tmp_path: Path) -> None:
+def test_what_has_changed_is_made_again(talks: Path, undisturbed: Path, tmp_path: Path) -> None:
     folder, output = tmp_path / "ann", tmp_path / "data"
-    folder.mkdir()
-    for name in ("0.mp4", "1.mp4"):
-        shutil.copy(talks / name, folder)
-    again(folder, output)
-    assert not list((output / "words").iterdir())
-    shutil.copy(talks / "1.srt", folder)
+    shutil.copytree(undisturbed, output)
+    shutil.copytree(talks, folder)
+    (folder / "1.srt").write_text("1\n00:00:01,000 --> 00:00:02,000\ngood night\n")
     summary = again(folder, output, add=True)
-    assert summary.done_before == 1
+    assert summary.done_before == 2 and len(summary.clips) == 3
     words = Dataset(output).words(Dataset(output).clips()[1])
-    assert words is not None and [word.word for word in words] == ["good", "morning"]
+    assert words is not None and [word.word for word in words] == ["good", "night"]
+    before = Dataset(undisturbed).words(Dataset(undisturbed).clips()[1])
+    assert before is not None and [word.word for word in before] == ["good", "morning"]
     (output / "sources" / "ann_0.json").unlink()
-    with pytest.raises(BadInput, match="ann_0.*--force"):
+    with pytest.raises(BadInput, match=r"ann_0.*--force"):
         again(folder, output, add=True)
-    (folder / "0.mp4").unlink()
-    assert len(again(folder, output, force=True).clips) == 1
+    summary = prepare([folder / "0.mp4"], output, config=CONFIG, force=True)
+    assert [clip.source for clip in Dataset(output).clips()] == ["0"]
+
+
+def test_the_third_video_changes_the_rule_and_this_is_told() -> None:
+    clips = [Clip(f"a{i}", "a", "", f"a{i}", 0.0, 250) for i in range(3)]
+    two, three = split_clips(clips[:2]), split_clips(clips)
+    summary = Summary(Path("d"), (), three, before={c.id: c.split for c in two.clips})
+    moved = [c.id for c in two.clips if c.split != {d.id: d.split for d in three.clips}[c.id]]
+    assert summary.moved == len(moved) > 0
+    assert "of another split than before" in str(summary)
 
 
 def test_a_broken_transcript_is_told_and_the_video_kept(talks: Path, tmp_path: Path) -> None:
@@ -184,53 +192,60 @@ def test_one_run_at_a_time(talks: Path, tmp_path: Path) -> None:
     assert (tmp_path / ".data.part").is_dir()
 
 
+def killed_at_random(whole: float, *arguments: Path | str) -> bool:
+    """Start a run and kill it at a moment drawn from its duration; whether it was still going."""
+    process = start(*arguments)  # type: ignore[arg-type]
+    time.sleep(random.uniform(0.05, 0.95) * whole)
+    running = process.poll() is None
+    kill(process)
+    return running
+
+
 @pytest.mark.slow
 def test_twenty_kills_at_random_moments(talks: Path, undisturbed: Path, tmp_path: Path) -> None:
     expected = hashes(undisturbed)
     begun = time.monotonic()
-    start(talks, tmp_path / "timed", "--jobs", "2").wait()
+    assert start(talks, tmp_path / "timed", "--jobs", "2").wait() == 0
     whole = time.monotonic() - begun
     random.seed(0)
-    killed = 0
-    for trial in range(20):
-        output = tmp_path / str(trial) / "data"
-        output.parent.mkdir()
-        jobs = str(1 + trial % 2)
-        for _ in range(1 + trial % 3):  # some are killed more than once
-            process = start(talks, output, "--jobs", jobs)
-            time.sleep(random.uniform(0.1, 1.0) * whole)
-            killed += process.poll() is None
-            kill(process)
+    kills = 0
+    while kills < 20:
+        output = tmp_path / str(kills) / "data"
+        output.parent.mkdir(exist_ok=True)
+        jobs = str(1 + kills % 2)
+        for _ in range(1 + kills % 3):  # some runs are killed more than once
+            if not output.exists():
+                kills += killed_at_random(whole, talks, output, "--jobs", jobs)
         if not output.exists():
             assert start(talks, output, "--jobs", jobs).wait() == 0
         assert hashes(output) == expected
         assert [path.name for path in output.parent.iterdir()] == ["data"]
         shutil.rmtree(output.parent)
-    assert killed >= 20
 
 
 @pytest.mark.slow
 def test_kills_while_adding_never_break_the_dataset(talks: Path, tmp_path: Path) -> None:
     base = tmp_path / "base" / "data"
     base.parent.mkdir()
-    prepare([talks / "0.mp4", talks / "1.mp4"], base, speaker="ann", config=CONFIG)
+    prepare([talks / "0.mp4"], base, speaker="ann", config=CONFIG)
     old = hashes(base)
+    options = ("--speaker", "ann", "--add", "--jobs")
     goal = tmp_path / "goal" / "data"
     shutil.copytree(base, goal)
     begun = time.monotonic()
-    start(talks, goal, "--speaker", "ann", "--add", "--jobs", "2").wait()
+    assert start(talks, goal, *options, "1").wait() == 0
     whole = time.monotonic() - begun
     expected = hashes(goal)
     assert len(expected) > len(old)
     random.seed(1)
-    for trial in range(20):
-        output = tmp_path / str(trial) / "data"
+    kills = 0
+    while kills < 20:
+        output = tmp_path / str(kills) / "data"
         shutil.copytree(base, output)
-        process = start(talks, output, "--speaker", "ann", "--add", "--jobs", str(1 + trial % 2))
-        time.sleep(random.uniform(0.1, 1.0) * whole)
-        kill(process)
+        jobs = str(1 + kills % 2)
+        was_running = killed_at_random(whole, talks, output, *options, jobs)
         assert hashes(output) in (old, expected)
-        again_process = start(talks, output, "--speaker", "ann", "--add", "--jobs", "1")
-        assert again_process.wait() == 0
+        assert start(talks, output, *options, "1").wait() == 0
         assert hashes(output) == expected
+        kills += was_running
         shutil.rmtree(output.parent)
