@@ -27,8 +27,10 @@ ROOT = Path(__file__).parents[2]
 CONFIG = IngestionConfig(crop=Crop(60, 0, 360))
 CROP = "60,0,360"
 
+Draw = Callable[..., np.ndarray]
 
-def write_talk(path: Path, draw: Callable[..., np.ndarray], number: int) -> None:
+
+def write_talk(path: Path, draw: Draw, number: int) -> None:
     rng = np.random.default_rng(number)
     samples = (0.1 * rng.standard_normal(64000)).astype(np.float32)
     poses = [draw(hand=h, x=240 + 10 * number) for h in np.linspace(0, 1, 9)]
@@ -38,14 +40,12 @@ def write_talk(path: Path, draw: Callable[..., np.ndarray], number: int) -> None
 
 
 @pytest.fixture(scope="module")
-def talks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def talks(tmp_path_factory: pytest.TempPathFactory, person: Draw) -> Path:
     """Three videos of 4 s, and the transcript of one."""
-    from conftest import draw_person
-
     folder = tmp_path_factory.mktemp("talks") / "ann"
     folder.mkdir()
     for number in range(3):
-        write_talk(folder / f"{number}.mp4", draw_person, number)
+        write_talk(folder / f"{number}.mp4", person, number)
     (folder / "1.srt").write_text("1\n00:00:01,000 --> 00:00:02,000\ngood morning\n")
     return folder
 
@@ -114,9 +114,9 @@ def test_two_processes_make_the_same(talks: Path, undisturbed: Path) -> None:
     assert made.pop("report.html") != expected.pop("report.html") and made == expected
 
 
-def test_a_later_video_is_added_alone(talks: Path, undisturbed: Path, tmp_path: Path) -> None:
-    from conftest import draw_person
-
+def test_a_later_video_is_added_alone(
+    talks: Path, undisturbed: Path, tmp_path: Path, person: Draw
+) -> None:
     output = tmp_path / "data"
     shutil.copytree(undisturbed, output)
     (output / "notes.txt").write_text("mine")
@@ -126,7 +126,7 @@ def test_a_later_video_is_added_alone(talks: Path, undisturbed: Path, tmp_path: 
         again(talks, output)
     some = tmp_path / "ann"
     shutil.copytree(talks, some)
-    write_talk(some / "2-later.mp4", draw_person, 7)
+    write_talk(some / "2-later.mp4", person, 7)
     shutil.copy(some / "2-later.mp4", some / "3.mp4")
     summary = again(some, output, add=True)
     assert summary.done_before == 3 and summary.moved == 0
@@ -139,7 +139,7 @@ def test_a_later_video_is_added_alone(talks: Path, undisturbed: Path, tmp_path: 
     assert (output / "notes.txt").read_text() == "mine"
     # what was there need not be named again, and another folder's 0.mp4 is another video
     (tmp_path / "other").mkdir()
-    write_talk(tmp_path / "other" / "0.mp4", draw_person, 8)
+    write_talk(tmp_path / "other" / "0.mp4", person, 8)
     summary = prepare([tmp_path / "other"], output, speaker="ann", config=CONFIG, add=True)
     assert summary.done_before == 0
     assert sorted({c.source for c in summary.clips} - {c.source for c in clips}) == ["ann_0-2"]
