@@ -119,23 +119,74 @@ def phantom(
 
 @app.command()
 def prepare(
-    videos: Annotated[list[Path], typer.Argument(help="Videos, or folders of videos.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the dataset.")],
+    videos: Annotated[
+        list[Path] | None, typer.Argument(help="Videos, or folders of videos.")
+    ] = None,
     speaker: Annotated[
-        str | None, typer.Option(help="Name of the speaker; without it the folder's name.")
+        str | None,
+        typer.Option(help="Name of the speaker; without it the folder's. With --pats: whose."),
     ] = None,
     crop: Annotated[
-        str | None, typer.Option(help="Square of the picture: x,y,size in pixels.")
+        str | None, typer.Option(help="Square of the picture: x,y,size or x,y,w,h in pixels.")
+    ] = None,
+    person: Annotated[
+        str | None, typer.Option(help="left, right or largest, where several people are seen.")
+    ] = None,
+    stabilize: Annotated[
+        bool, typer.Option("--stabilize", help="Hold the picture still where the camera moves.")
+    ] = False,
+    silent_ok: Annotated[
+        bool, typer.Option("--silent-ok", help="Keep videos without sound (renderer alone).")
+    ] = False,
+    shortest: Annotated[float, typer.Option(min=3.9, help="Seconds of the shortest clip.")] = 4.0,
+    longest: Annotated[float, typer.Option(help="Seconds of the longest clip.")] = 14.0,
+    pats: Annotated[
+        Path | None, typer.Option(help="PATS' table of intervals; only these are cut.")
+    ] = None,
+    folder: Annotated[
+        list[Path] | None, typer.Option("--videos", help="Folder with the videos of --pats.")
     ] = None,
     jobs: Jobs = 0,
+    add: Annotated[
+        bool, typer.Option("--add", help="Put the videos into the dataset that is there.")
+    ] = False,
     force: Force = False,
 ) -> None:
-    """Cut videos of a speaker into a dataset of clips."""
+    """Cut videos of a speaker into a dataset of clips; a killed run goes on when repeated."""
+    from data_prep.outcome import IngestionConfig
     from data_prep.prepare import prepare as make
 
-    square = None if crop is None else _square(crop)
-    summary = make(videos, output, speaker=speaker, jobs=jobs or _cores(), crop=square, force=force)
-    print(summary)
+    places = [*(videos or []), *(folder or [])]
+    if not places:
+        raise BadInput("no video is named; give videos or folders of videos")
+    if person not in (None, "left", "right", "largest"):
+        raise BadInput(f"--person {person}: there are left, right and largest")
+    if not 2 * shortest <= longest <= 60:
+        raise BadInput(f"--longest {longest:g}: must be twice --shortest {shortest:g}, at most 60")
+    if add and force:
+        raise BadInput("--add and --force: give one; --add keeps the dataset, --force replaces it")
+    config = IngestionConfig(
+        crop=None if crop is None else _square(crop),
+        person=person,
+        stabilize=stabilize,
+        silent_ok=silent_ok,
+        shortest=shortest,
+        longest=longest,
+    )
+    cores = jobs or _cores()
+    print(
+        make(
+            places,
+            output,
+            speaker=speaker,
+            jobs=cores,
+            config=config,
+            pats=pats,
+            add=add,
+            force=force,
+        )
+    )
 
 
 @app.command()
@@ -226,11 +277,13 @@ def _square(text: str) -> "Crop":  # type: ignore[name-defined]  # noqa: F821
     from data_prep.speaker import Crop
 
     try:
-        x, y, size = (int(part) for part in text.split(","))
+        x, y, size, *height = (int(part) for part in text.split(","))
     except ValueError:
         raise BadInput(f"--crop {text}: give x,y,size in whole pixels") from None
-    if size < 1:
-        raise BadInput(f"--crop {text}: the size must be positive")
+    if len(height) > 1 or size < 1:
+        raise BadInput(f"--crop {text}: give x,y,size in whole pixels, the size above 0")
+    if height not in ([], [size]):
+        raise BadInput(f"--crop {text}: is no square; width and height must be equal")
     return Crop(x, y, size)
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,12 +13,13 @@ import numpy as np
 from data_prep.errors import BadInput
 from data_prep.features import SpeechFeatures
 from data_prep.frame_store import FrameStore
+from data_prep.rates import FPS, SAMPLES_PER_FRAME, tokens_covering
 from data_prep.sound import read_sound
-from data_prep.words import Word, read_words
+from data_prep.words import Word, read_words, slice_words
 
 __all__ = ["Clip", "Dataset", "FrameStore", "SpeechFeatures", "Word"]
 
-FORMAT = 1
+FORMAT = 2
 """Version of the layout; a newer one is refused."""
 
 MANIFEST = "dataset.json"
@@ -32,10 +34,11 @@ class Clip:
     Attributes:
         id: name of its files.
         speaker: who speaks.
-        split: "train" or "test".
+        split: "train", "val" or "test".
         source: name of the video it was cut from.
         start: seconds from the first frame of that video.
-        n_frames: frames at 25 fps.
+        n_frames: frames at 25 fps. The files of a clip that is the last before another split
+            hold more: what follows is the gap between the splits, and `Dataset` never gives it.
     """
 
     id: str
@@ -47,13 +50,15 @@ class Clip:
 
 
 def write_table(path: Path, clips: list[Clip], fps: int) -> None:
-    """Write `meta.csv`, one row for each clip, ordered by clip id."""
-    with Path(path).open("w", encoding="utf-8", newline="") as file:
+    """Write `meta.csv`, one row for each clip, ordered by clip id; it appears whole."""
+    part = Path(path).with_name(f".{Path(path).name}.part")
+    with part.open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(COLUMNS)
         for c in sorted(clips, key=lambda clip: clip.id):
             where = (c.id, c.speaker, c.split, c.source, f"{c.start:.2f}")
             table.writerow((*where, fps, c.n_frames, f"{c.n_frames / fps:.2f}"))
+    os.replace(part, path)
 
 
 def write_features(path: Path, features: SpeechFeatures) -> None:
@@ -105,7 +110,11 @@ class Dataset:
             raise BadInput(f"{path}: made by a newer angie (format {version}); update angie")
 
     def clips(self, split: str | None = None, speaker: str | None = None) -> list[Clip]:
-        """Clips in order of their ids, all or those of a split and of a speaker."""
+        """Clips in order of their ids, all or those of a split and of a speaker.
+
+        The splits are "train", "val" (for choosing weights and settings; may be empty where a
+        speaker has few clips) and "test".
+        """
         return [
             clip
             for clip in self._clips
@@ -118,11 +127,12 @@ class Dataset:
 
     def frames(self, clip: Clip) -> FrameStore:
         """Frames of a clip, `(256, 256, 3)` uint8 RGB each, for reading in any order."""
-        return FrameStore(self.path / "frames" / f"{clip.id}.safetensors")
+        return FrameStore(self.path / "frames" / f"{clip.id}.safetensors", clip.n_frames)
 
     def sound(self, clip: Clip) -> np.ndarray:
         """Sound of a clip, `(N,)` float32 mono at 16 kHz, 640 samples for each frame."""
-        return read_sound(self.path / "audio" / f"{clip.id}.wav")
+        samples = read_sound(self.path / "audio" / f"{clip.id}.wav")
+        return samples[: clip.n_frames * SAMPLES_PER_FRAME]
 
     def features(self, clip: Clip) -> SpeechFeatures:
         """Speech features of a clip, not standardised.
@@ -133,11 +143,16 @@ class Dataset:
         path = self.path / "features" / f"{clip.id}.npz"
         try:
             with np.load(path, allow_pickle=False) as file:
-                return SpeechFeatures(file["onset"], file["mfcc"], file["onset_times"])
+                onset, mfcc, times = file["onset"], file["mfcc"], file["onset_times"]
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise BadInput(f"{path}: damaged or missing; prepare the dataset again") from error
+        frames = clip.n_frames
+        times = times[times < frames / FPS]
+        return SpeechFeatures(onset[: tokens_covering(frames)], mfcc[:frames], times)
 
     def words(self, clip: Clip) -> list[Word] | None:
         """Words of a clip with times from its start; None when nobody told them."""
         path = self.path / "words" / f"{clip.id}.json"
-        return read_words(path) if path.exists() else None
+        if not path.exists():
+            return None
+        return slice_words(read_words(path), 0.0, clip.n_frames / FPS)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -46,13 +47,17 @@ class FrameStore:
     The file is mapped, not read; an instance may be sent to other processes.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, count: int | None = None) -> None:
         """Open the file.
 
+        Args:
+            path: as `write_frames` wrote it.
+            count: frames of the clip, where the last ones in the file are left unused.
+
         Raises:
-            BadInput: missing or damaged.
+            BadInput: missing, damaged, or with fewer frames than `count`.
         """
-        self.path = Path(path)
+        self.path, self.count = Path(path), count
         self._open()
 
     def _open(self) -> None:
@@ -62,10 +67,16 @@ class FrameStore:
             self._offset = self._file.get_tensor("offset")
         except (OSError, SafetensorError) as error:
             raise BadInput(f"{self.path}: damaged or missing; prepare the dataset again") from error
+        stored = len(self._offset) - 1
+        if self.count is not None and self.count > stored:
+            raise BadInput(
+                f"{self.path}: holds {stored} of {self.count} frames; prepare the dataset again"
+            )
+        self._frames = stored if self.count is None else self.count
 
     def __len__(self) -> int:
         """Number of frames."""
-        return len(self._offset) - 1
+        return self._frames
 
     def __getitem__(self, index: int) -> np.ndarray:
         """Frame `index`; negative numbers count from the end."""
@@ -78,9 +89,9 @@ class FrameStore:
             raise BadInput(f"{self.path}: frame {index} is damaged; prepare the dataset again")
         return cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
 
-    def __getstate__(self) -> dict[str, Path]:
-        return {"path": self.path}
+    def __getstate__(self) -> dict[str, Path | int | None]:
+        return {"path": self.path, "count": self.count}
 
-    def __setstate__(self, state: dict[str, Path]) -> None:
-        self.path = state["path"]
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.path, self.count = state["path"], state["count"]
         self._open()

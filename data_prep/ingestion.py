@@ -1,9 +1,7 @@
 """One source video becomes clips of a dataset."""
 
 import itertools
-from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -14,53 +12,34 @@ from data_prep.container import check_file
 from data_prep.cutting import MIN_FRAMES, clip_bounds
 from data_prep.dataset import Clip
 from data_prep.errors import BadInput
-from data_prep.rates import FPS, SAMPLE_RATE, frames_covering
+from data_prep.outcome import ClipDetail, IngestionConfig, Outcome, Span
+from data_prep.rates import FPS, SAMPLE_RATE, SAMPLES_PER_FRAME, frames_covering
 from data_prep.sound import read_sound
 from data_prep.source import Source, sha256
-from data_prep.speaker import Crop, check_crop, cut_out, speaker_crop
+from data_prep.speaker import Crop, Face, check_crop, cut_out, speaker_crop
 from data_prep.tracking import speaker_face
-from data_prep.video import VideoInfo, probe, read_frames
-from data_prep.words import Word, read_words
+from data_prep.video import probe, read_frames
+from data_prep.words import Word
 
 
-@dataclass
-class Outcome:
-    """What became of a source.
-
-    Attributes:
-        source: the video.
-        sha256: of the file.
-        info: what the file holds, None when it could not be read.
-        crop: square that was cut out, None when the video was refused before.
-        clips: that were kept; their splits are not decided yet.
-        dropped: number of clips dropped, by reason.
-        refused: why nothing of the video was kept, or None.
-    """
-
-    source: Source
-    sha256: str = ""
-    info: VideoInfo | None = None
-    crop: Crop | None = None
-    clips: list[Clip] = field(default_factory=list)
-    dropped: Counter[str] = field(default_factory=Counter)
-    refused: str | None = None
-
-
-def ingest(source: Source, folder: Path, crop: Crop | None = None) -> Outcome:
+def ingest(
+    source: Source, folder: Path, config: IngestionConfig, words: list[Word] | None
+) -> Outcome:
     """Cut a video into clips and write their files into a dataset folder.
 
     Whatever is wrong with the video is told in the outcome; nothing is raised for it.
 
     Args:
-        source: the video.
+        source: the video; where it names intervals, only these are cut.
         folder: the dataset; the folders for the clips' files exist.
-        crop: square of the picture; None finds it by the speaker's face.
+        config: how clips are made.
+        words: of the whole video, with times as the file counts them; None when unknown.
     """
     outcome = Outcome(source)
     try:
         check_file(source.path)
         outcome.sha256 = sha256(source.path)
-        _ingest(outcome, folder, crop)
+        _ingest(outcome, folder, config, words)
     except (BadInput, cv2.error) as error:
         outcome.refused = str(error).removeprefix(f"{source.path}: ")
     if not outcome.clips and outcome.refused is None:
@@ -68,7 +47,9 @@ def ingest(source: Source, folder: Path, crop: Crop | None = None) -> Outcome:
     return outcome
 
 
-def _ingest(outcome: Outcome, folder: Path, crop: Crop | None) -> None:
+def _ingest(
+    outcome: Outcome, folder: Path, config: IngestionConfig, words: list[Word] | None
+) -> None:
     source = outcome.source
     info = outcome.info = probe(source.path)
     if not info.has_sound:
@@ -77,22 +58,45 @@ def _ingest(outcome: Outcome, folder: Path, crop: Crop | None) -> None:
     expected = min(round(info.duration * FPS), frames_covering(len(samples)))
     if expected < MIN_FRAMES:
         raise BadInput(f"shorter than {MIN_FRAMES} frames ({expected})")
-    words = _words(source.path, info.start)
+    crop, face = config.crop, None
     if crop is None:
         face = speaker_face(source.path, info)
         crop = speaker_crop(face, info.height, info.width)
     check_crop(crop, info.height, info.width)
-    outcome.crop = crop
-    for piece in _pieces(source, samples, clip_bounds(samples, expected), crop):
+    outcome.spans.append(Span(0, expected, None, crop, face))
+    if words is not None:
+        words = [Word(w.word, w.start - info.start, w.end - info.start) for w in words]
+    for piece in _pieces(source, samples, _bounds(source, samples, expected, info.start), crop):
         reason = fault(piece)
         if reason is not None:
-            outcome.dropped[reason] += 1
+            outcome.dropped[reason] += round(len(piece.frames) / FPS, 2)  # type: ignore[assignment]
             continue
         write_clip(folder, piece, words)
         start = piece.first / FPS
-        outcome.clips.append(
-            Clip(piece.id, source.speaker, "", source.name, start, len(piece.frames))
-        )
+        clip = Clip(piece.id, source.speaker, "", source.name, start, len(piece.frames))
+        outcome.clips.append(clip)
+        outcome.details[piece.id] = _detail(piece, face)
+
+
+def _detail(piece: Piece, face: Face | None) -> ClipDetail:
+    grey = [cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY).astype(np.int16) for frame in piece.frames]
+    motion = float(np.mean([np.abs(a - b).mean() for a, b in itertools.pairwise(grey)]))
+    return ClipDetail(0, 0.0 if face is None else face.h, motion)
+
+
+def _bounds(
+    source: Source, samples: np.ndarray, frames: int, origin: float
+) -> list[tuple[int, int]]:
+    if not source.intervals:
+        return clip_bounds(samples, frames)
+    bounds, last = [], 0
+    for _, start, end in sorted(source.intervals, key=lambda interval: interval[1:]):
+        first = max(round((start - origin) * FPS), last)
+        last = max(min(round((end - origin) * FPS), frames), last)
+        if last - first >= MIN_FRAMES:
+            part = samples[first * SAMPLES_PER_FRAME : last * SAMPLES_PER_FRAME]
+            bounds += [(first + a, first + b) for a, b in clip_bounds(part, last - first)]
+    return bounds
 
 
 def _pieces(
@@ -100,16 +104,10 @@ def _pieces(
 ) -> Iterator[Piece]:
     """The clips one after another; the frames of one are held at a time."""
     frames = read_frames(source.path, FPS)
+    at = 0
     for number, (first, stop) in enumerate(bounds):
-        cut = [cut_out(frame, crop) for frame in itertools.islice(frames, stop - first)]
+        cut = [cut_out(frame, crop) for frame in itertools.islice(frames, first - at, stop - at)]
+        at = stop
         if cut:
             sound = piece_of_sound(samples, first, len(cut))
             yield Piece(f"{source.name}_{number:03d}", first, cut, sound)
-
-
-def _words(path: Path, origin: float) -> list[Word] | None:
-    """Words from the file `<video's stem>.words.json` beside a video, timed from `origin`."""
-    beside = path.with_suffix(".words.json")
-    if not beside.exists():
-        return None
-    return [Word(w.word, w.start - origin, w.end - origin) for w in read_words(beside)]

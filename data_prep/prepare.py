@@ -1,64 +1,44 @@
 """From videos of speakers to a dataset: `angie prepare`."""
 
-import json
-import multiprocessing
-from collections import Counter
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
-
-from data_prep.clip_files import FOLDERS
-from data_prep.dataset import FORMAT, MANIFEST, TABLE, Clip, write_table
+from data_prep.dataset import FORMAT, MANIFEST, TABLE, Dataset, write_table
 from data_prep.errors import BadInput
-from data_prep.ingestion import Outcome, ingest
-from data_prep.output import check_apart, check_output, whole_folder
+from data_prep.making import Order, died, make_source
+from data_prep.outcome import IngestionConfig
+from data_prep.output import check_apart
+from data_prep.pats import (
+    MISSING,
+    not_kept,
+    pats_sources,
+    read_intervals,
+    read_missing,
+    write_missing,
+)
+from data_prep.pool import spread
 from data_prep.progress import progress
 from data_prep.rates import FPS, IMAGE_SIZE, SAMPLE_RATE
-from data_prep.source import Source, find_sources
-from data_prep.speaker import Crop
-from data_prep.split import split_clips
+from data_prep.record import Record, key_of, read_records, write_json
+from data_prep.report import write_report
+from data_prep.source import Source, find_sources, name_sources, sha256
+from data_prep.split import BY_SOURCE, split_clips
+from data_prep.summary import Summary
+from data_prep.transcript import find_transcript
+from data_prep.workplace import Workplace, check_place, workplace
 
 _MESSAGE_REASONS = 3
 
 
 @dataclass(frozen=True)
-class Summary:
-    """What `prepare` made.
+class _Found:
+    """A source with the hash of its content, "" where it cannot be read."""
 
-    Attributes:
-        path: the dataset.
-        clips: all that were kept.
-        rules: how the clips of each speaker were divided into training and test.
-        dropped: number of clips dropped, by reason.
-        refused: videos of which nothing was kept, with the reason.
-    """
-
-    path: Path
-    clips: list[Clip]
-    rules: dict[str, str]
-    dropped: dict[str, int]
-    refused: list[tuple[Path, str]]
-
-    def __str__(self) -> str:
-        """A few lines for a person."""
-        lines = [f"{self.path}: {len(self.clips)} clips, {_minutes(self.clips)}"]
-        for speaker, rule in self.rules.items():
-            own = [clip for clip in self.clips if clip.speaker == speaker]
-            test = [clip for clip in own if clip.split == "test"]
-            lines.append(
-                f"  {speaker}: {len(own)} clips, {_minutes(own)}; {len(test)} for testing ({rule})"
-            )
-        lines += [f"  dropped {count}: {reason}" for reason, count in self.dropped.items()]
-        lines += [f"  refused {path}: {reason}" for path, reason in self.refused]
-        return "\n".join(lines)
-
-
-def _minutes(clips: Sequence[Clip]) -> str:
-    return f"{sum(clip.n_frames for clip in clips) / FPS / 60:.1f} min"
+    source: Source
+    sha256: str
 
 
 def prepare(
@@ -67,97 +47,204 @@ def prepare(
     *,
     speaker: str | None = None,
     jobs: int = 1,
-    crop: Crop | None = None,
+    config: IngestionConfig | None = None,
+    pats: Path | None = None,
+    add: bool = False,
     force: bool = False,
 ) -> Summary:
     """Turn videos of speakers into a dataset of square clips with sound and features.
 
-    The speaker is found by the face, a fixed square around the upper body is brought to
-    256x256 at exactly 25 fps, and the video is cut into clips of 4 to 14 s where it is
-    quietest. A video that cannot be used is listed with the reason and the others go on.
+    A video that cannot be used is listed with the reason and the others go on. A run that was
+    killed is continued by the next one with the same output: what is done is not done again.
 
     Args:
         videos: files, or folders that are searched through all their levels.
         output: the dataset to write; it appears when it is whole.
-        speaker: who speaks in all of them; None takes the folders' or files' names.
+        speaker: who speaks in all of them; None takes the folders' or files' names. With `pats`
+            the one speaker whose intervals are cut.
         jobs: processes.
-        crop: square of all the pictures in pixels; None finds it by the speaker's face.
-        force: replace an existing output.
+        config: how clips are made; None for the defaults.
+        pats: table of intervals of the PATS dataset; only these are cut.
+        add: keep what a dataset at `output` holds, and make only what is new or has changed.
+        force: replace an existing dataset.
 
     Raises:
         BadInput: no such video, an output that cannot be written, or nothing was kept.
     """
-    check_output(output, force=force)
+    output, config = Path(output).resolve(), config or IngestionConfig()
+    check_place(output, add=add, force=force)
     check_apart(output, videos)
-    sources = find_sources(videos, speaker)
-    with whole_folder(output, mark=MANIFEST, force=force) as part:
-        for folder in FOLDERS:
-            (part / folder).mkdir()
-        with progress("prepare", len(sources), "videos") as advance:
-            outcomes = []
-            for outcome in _ingest_all(sources, part, crop, jobs):
-                outcomes.append(outcome)
-                advance(1, note=outcome.source.name)
-        order = {source.name: number for number, source in enumerate(sources)}
-        outcomes.sort(key=lambda outcome: order[outcome.source.name])
-        clips, rules = split_clips([clip for outcome in outcomes for clip in outcome.clips])
-        if not clips:
-            raise BadInput(_nothing_kept(outcomes))
-        write_table(part / TABLE, clips, FPS)
-        text = json.dumps(_manifest(outcomes, rules), indent=1, ensure_ascii=False)
-        (part / MANIFEST).write_text(text + "\n", encoding="utf-8")
-    dropped = sum((outcome.dropped for outcome in outcomes), Counter())
-    refused = [(o.source.path, o.refused) for o in outcomes if o.refused is not None]
-    return Summary(Path(output), clips, rules, dict(dropped), refused)
+    dataset = Dataset(output) if add and output.exists() else None
+    present = {} if dataset is None else _present(dataset)
+    intervals, missing = read_intervals(pats, speaker) if pats is not None else ([], [])
+    if pats is None:
+        sources = find_sources(videos, speaker)
+    else:
+        sources, absent = pats_sources(intervals, videos)
+        missing += absent
+    with workplace(output, add=add, force=force) as place:
+        found, doubles = _settle_names(_hash(sources, jobs), present)
+        orders = [_order(entry, config, place) for entry in found]
+        wanted = {name: record.key for name, record in present.items()}
+        wanted.update((order.source.name, order.key) for order in orders)
+        place.settle(wanted, None if dataset is None else output)
+        done_before = _make(orders, place, jobs)
+        records = [place.records[name] for name in sorted(place.records)]
+        if not any(record.clips for record in records):
+            raise BadInput(_nothing_kept(records))
+        if pats is not None:
+            names = {order.source.name for order in orders}
+            missing += not_kept(intervals, [r.outcome for r in records if r.name in names])
+        summary = Summary(
+            path=output,
+            records=tuple(records),
+            split=split_clips([c for r in records for c in r.clips], _splits_before(dataset)),
+            doubles=tuple(doubles),
+            missing=None if pats is None else tuple(missing),
+            before={} if dataset is None else {c.id: c.split for c in dataset.clips()},
+            done_before=done_before,
+        )
+        _write(place.folder, summary, dataset)
+    return summary
 
 
-def _ingest_all(
-    sources: list[Source], folder: Path, crop: Crop | None, jobs: int
-) -> Iterator[Outcome]:
-    """Outcomes as they come; each process works on one video at a time."""
-    jobs = min(jobs, len(sources))
-    if jobs <= 1:
-        for source in sources:
-            yield ingest(source, folder, crop)
-        return
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, context, initializer=cv2.setNumThreads, initargs=(1,))
-    try:
-        tasks = [pool.submit(ingest, source, folder, crop) for source in sources]
-        for task in as_completed(tasks):
-            yield task.result()
-    finally:
-        pool.shutdown(cancel_futures=True)
+def _make(orders: list[Order], place: Workplace, jobs: int) -> int:
+    """Make the sources that no earlier run has made; the number of those that it had."""
+    todo = [order for order in orders if order.source.name not in place.records]
+    done = len(orders) - len(todo)
+    with progress("prepare", len(orders), "videos", done) as advance:
+        for order, record in spread(make_source, todo, jobs):
+            place.put(record or died(order))
+            advance(1, note=order.source.name)
+    return done
 
 
-def _nothing_kept(outcomes: list[Outcome]) -> str:
-    reasons = [f"{o.source.path.name}: {o.refused}" for o in outcomes[:_MESSAGE_REASONS]]
-    more = len(outcomes) - len(reasons)
+def _present(dataset: Dataset) -> dict[str, Record]:
+    """Records of a finished dataset that shall be added to."""
+    records = read_records(dataset.path)
+    lost = [s["name"] for s in dataset.manifest["sources"] if s["name"] not in records]
+    if lost:
+        raise BadInput(
+            f"{dataset.path}: cannot be added to, its files of {lost[0]} are damaged or of an "
+            "older angie; prepare all the videos again with --force"
+        )
+    return records
+
+
+def _hash(sources: list[Source], jobs: int) -> list[_Found]:
+    def found(source: Source) -> _Found:
+        try:
+            return _Found(source, sha256(source.path) if source.path.stat().st_size else "")
+        except OSError:
+            return _Found(source, "")  # its record will tell why
+
+    with ThreadPoolExecutor(max(1, min(jobs, 8))) as threads:
+        return list(threads.map(found, sources))
+
+
+def _settle_names(
+    found: list[_Found], present: dict[str, Record]
+) -> tuple[list[_Found], list[tuple[Path, Path]]]:
+    """Name the sources: those that are known by their content keep the name that they have.
+
+    Returns:
+        the sources, each content once; and the doubles, with the file that counts.
+    """
+    first: dict[Any, Path] = {}
+    single: list[_Found] = []
+    doubles: list[tuple[Path, Path]] = []
+    for entry in found:
+        what = (entry.sha256 or entry.source.path, entry.source.intervals)
+        if what in first:
+            doubles.append((entry.source.path, first[what]))
+        else:
+            first[what] = entry.source.path
+            single.append(entry)
+    known = {_identity(r.outcome.sha256, r.outcome.source): name for name, r in present.items()}
+    sources = name_sources(
+        [replace(e.source, name=known.get(_identity(e.sha256, e.source), "")) for e in single],
+        taken=present,
+    )
+    return [replace(e, source=s) for e, s in zip(single, sources, strict=True)], doubles
+
+
+def _identity(content: str, source: Source) -> tuple[str, str]:
+    return content or source.path.name, source.speaker
+
+
+def _order(found: _Found, config: IngestionConfig, place: Workplace) -> Order:
+    source = found.source
+    transcript = find_transcript(source.path)
+    told = ""
+    if transcript is not None:
+        try:
+            told = transcript.name[len(source.path.stem) :] + sha256(transcript)
+        except OSError as error:
+            told = f"{transcript.name}: {error.strerror}"
+    key = key_of(source, found.sha256, told, config)
+    return Order(source, found.sha256, key, config, transcript, place.making(source.name))
+
+
+def _splits_before(dataset: Dataset | None) -> dict[str, str]:
+    """Splits of the sources that a dataset divided by source."""
+    if dataset is None:
+        return {}
+    rules = dataset.manifest["splits"]
+    return {c.source: c.split for c in dataset.clips() if rules.get(c.speaker) == BY_SOURCE}
+
+
+def _nothing_kept(records: list[Record]) -> str:
+    reasons = [
+        f"{r.outcome.source.path.name}: {r.outcome.refused}" for r in records[:_MESSAGE_REASONS]
+    ]
+    more = len(records) - len(reasons)
     return "nothing of the videos can be used: " + "; ".join(
         reasons + ([f"and {more} more"] if more > 0 else [])
     )
 
 
-def _manifest(outcomes: list[Outcome], rules: dict[str, str]) -> dict[str, Any]:
+def _write(folder: Path, summary: Summary, dataset: Dataset | None) -> None:
+    """Write what tells of all the sources together."""
+    write_table(folder / TABLE, summary.split.clips, FPS)
+    missing = list(summary.missing or ())
+    if dataset is not None and (dataset.path / MISSING).exists():
+        now = {entry.interval.speaker for entry in missing}
+        missing += [
+            m for m in read_missing(dataset.path / MISSING) if m.interval.speaker not in now
+        ]
+    if missing or summary.missing is not None:
+        write_missing(folder / MISSING, missing)
+    write_report(folder, summary)
+    write_json(folder / MANIFEST, _manifest(summary))
+
+
+def _manifest(summary: Summary) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "fps": FPS,
         "size": IMAGE_SIZE,
         "sample_rate": SAMPLE_RATE,
-        "splits": rules,
-        "sources": [
-            {
-                "name": o.source.name,
-                "file": o.source.path.name,
-                "sha256": o.sha256,
-                "speaker": o.source.speaker,
-                "video": None if o.info is None else asdict(o.info),
-                "crop": None if o.crop is None else asdict(o.crop),
-                "clips": len(o.clips),
-                "seconds": round(sum(clip.n_frames for clip in o.clips) / FPS, 2),
-                "dropped": dict(o.dropped),
-                "refused": o.refused,
-            }
-            for o in outcomes
-        ],
+        "splits": summary.split.rules,
+        "sources": [_manifest_entry(record) for record in summary.records],
+    }
+
+
+def _manifest_entry(record: Record) -> dict[str, Any]:
+    outcome = record.outcome
+    used = next((s.crop for s in outcome.spans if s.reason is None and s.crop is not None), None)
+    return {
+        "name": record.name,
+        "file": outcome.source.path.name,
+        "sha256": outcome.sha256,
+        "speaker": outcome.source.speaker,
+        "video": None if outcome.info is None else asdict(outcome.info),
+        "settings": asdict(record.config),
+        "crop": None if used is None else asdict(used),
+        "spans": [asdict(span) for span in outcome.spans],
+        "clips": len(record.clips),
+        "seconds": round(sum(clip.n_frames for clip in record.clips) / FPS, 2),
+        "dropped": {reason: round(s, 2) for reason, s in sorted(outcome.dropped.items())},
+        "refused": outcome.refused,
+        "words": record.words,
+        "warnings": list(record.warnings),
     }

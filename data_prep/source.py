@@ -1,9 +1,10 @@
 """Source videos: which files there are, who speaks in them, and what they are called."""
 
 import hashlib
+import os
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from data_prep.errors import BadInput
@@ -12,6 +13,11 @@ EXTENSIONS = frozenset(
     ".mp4 .m4v .mov .mkv .webm .avi .mpg .mpeg .ts .mts .m2ts .flv .wmv .3gp .ogv".split()
 )
 """Endings by which videos are found in a folder; a file named directly may have any."""
+
+_DATASET_FILES = {"dataset.json", "meta.csv"}
+
+_LONGEST_NAME = 160
+"""Bytes of a name; file systems allow 255 with the clip's number and the ending."""
 
 
 @dataclass(frozen=True)
@@ -22,16 +28,38 @@ class Source:
         path: the file.
         speaker: who speaks in it.
         name: its name in the dataset, unique there; clip ids begin with it.
+        intervals: parts to cut, `(id, start, end)` in seconds as the file counts them; empty
+            for the whole video.
     """
 
     path: Path
     speaker: str
     name: str
+    intervals: tuple[tuple[str, float, float], ...] = ()
 
 
-def _plain(text: str) -> str:
+def plain(text: str) -> str:
     """Letters, digits, dots, dashes and underscores alone: fit for file names everywhere."""
     return re.sub(r"[^\w.-]+", "-", text).strip("-.") or "video"
+
+
+def videos_in(folder: Path) -> list[Path]:
+    """Videos of a folder through all its levels, in order of their paths.
+
+    Hidden folders and datasets (an earlier output, say) are passed over.
+    """
+    return sorted(_walk(folder))
+
+
+def _walk(folder: Path) -> Iterator[Path]:
+    for here, folders, files in os.walk(folder):
+        if set(files) >= _DATASET_FILES:
+            folders.clear()
+            continue
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        for name in files:
+            if Path(name).suffix.lower() in EXTENSIONS and not name.startswith("."):
+                yield Path(here) / name
 
 
 def find_sources(paths: Sequence[Path], speaker: str | None = None) -> list[Source]:
@@ -48,27 +76,38 @@ def find_sources(paths: Sequence[Path], speaker: str | None = None) -> list[Sour
         if not path.exists():
             raise BadInput(f"{path}: no such file or folder; check the name")
         if path.is_dir():
-            inside = sorted(
-                p for p in path.rglob("*") if p.suffix.lower() in EXTENSIONS and p.is_file()
-            )
+            inside = videos_in(path)
             if not inside:
                 raise BadInput(f"{path}: holds no videos; name the files or another folder")
             for video in inside:
                 found.setdefault(video.resolve(), speaker or video.resolve().parent.name)
         else:
             found.setdefault(path.resolve(), speaker or path.stem)
-    sources: list[Source] = []
-    taken: set[str] = set()
-    for video, who in found.items():
-        who, stem = _plain(who), _plain(video.stem)
-        name = plain = stem if stem.startswith(who) else f"{who}_{stem}"
-        number = 1
-        while name.lower() in taken:
-            number += 1
-            name = f"{plain}-{number}"
-        taken.add(name.lower())
-        sources.append(Source(video, who, name))
-    return sources
+    return name_sources([Source(video, plain(who), "") for video, who in found.items()])
+
+
+def name_sources(sources: Sequence[Source], taken: Collection[str] = ()) -> list[Source]:
+    """Give each source without a name one of its own: the speaker's and the file's.
+
+    Args:
+        sources: in order; those with a name keep it.
+        taken: names that others have.
+    """
+    used = {name.lower() for name in taken} | {s.name.lower() for s in sources if s.name}
+    named: list[Source] = []
+    for source in sources:
+        if not source.name:
+            stem = plain(source.path.stem)
+            first = stem if stem.startswith(source.speaker) else f"{source.speaker}_{stem}"
+            first = first.encode()[:_LONGEST_NAME].decode(errors="ignore")
+            name, number = first, 1
+            while name.lower() in used:
+                number += 1
+                name = f"{first}-{number}"
+            used.add(name.lower())
+            source = replace(source, name=name)
+        named.append(source)
+    return named
 
 
 def sha256(path: Path) -> str:

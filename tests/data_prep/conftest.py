@@ -46,7 +46,7 @@ def draw_person(
     return cv2.GaussianBlur(image, (0, 0), max(1.2 * scale, 0.6))
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def person() -> Callable[..., np.ndarray]:
     """The drawing function `draw_person`."""
     return draw_person

@@ -39,7 +39,7 @@ def folder(tmp_path: Path) -> Path:
         np.arange(426, dtype=np.float32)[None], np.ones((5, 28, 12), np.float32), np.zeros(2)
     )
     write_features(tmp_path / "features" / "b_001.npz", features)
-    write_words(tmp_path / "words" / "b_001.json", [Word("hello", 0.1, 0.4)])
+    write_words(tmp_path / "words" / "b_001.json", [Word("hello", 0.05, 0.15)])
     return tmp_path
 
 
@@ -82,7 +82,7 @@ def test_sound_features_and_words_come_back(folder: Path) -> None:
     np.testing.assert_allclose(data.sound(one), np.full(3200, 0.5), atol=1e-4)
     features = data.features(one)
     assert features.onset[0, 425] == 425 and features.mfcc.shape == (5, 28, 12)
-    assert data.words(one) == [Word("hello", 0.1, 0.4)]
+    assert data.words(one) == [Word("hello", 0.05, 0.15)]
     assert data.words(other) is None
 
 

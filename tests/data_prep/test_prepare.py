@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from data_prep.cutting import LONGEST, SHORTEST, clip_bounds
-from data_prep.dataset import Clip, Dataset
+from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
+from data_prep.outcome import IngestionConfig
 from data_prep.prepare import prepare
 from data_prep.source import find_sources
 from data_prep.speaker import Crop
-from data_prep.split import split_clips
 from data_prep.video import VideoWriter, read_frames
 
 Draw = Callable[..., np.ndarray]
@@ -56,10 +56,10 @@ def test_clips_keep_sound_and_picture_together(tmp_path: Path, person: Draw) -> 
     data = Dataset(tmp_path / "data")
     first, second = data.clips()
     assert (first.speaker, first.source, first.id) == ("ann", "ann_talk", "ann_talk_000")
-    assert first.n_frames + second.n_frames == 375
-    assert second.start == pytest.approx(first.n_frames / 25)
+    assert first.n_frames + 25 + second.n_frames == 375  # a second is left unused between splits
+    assert second.start == pytest.approx(first.n_frames / 25 + 1)
     assert abs(second.start - 8.0) < 0.3
-    assert {first.split, second.split} == {"train", "test"}
+    assert (first.split, second.split) == ("train", "test")
     crop = data.manifest["sources"][0]["crop"]
     lamp = [round((c - o) * 256 / crop["size"]) for c, o in ((215, crop["y"]), (145, crop["x"]))]
     for clip in (first, second):
@@ -74,11 +74,12 @@ def test_clips_keep_sound_and_picture_together(tmp_path: Path, person: Draw) -> 
         features = data.features(clip)
         assert len(features.mfcc) == clip.n_frames
         assert len(features.onset) == -(-clip.n_frames // 8)
-        assert sum(1 for _ in read_frames(data.path / "video" / f"{clip.id}.mp4")) == clip.n_frames
+        shown = sum(1 for _ in read_frames(data.path / "video" / f"{clip.id}.mp4"))
+        assert shown == clip.n_frames + (25 if clip is first else 0)
     assert [(w.word, w.start) for w in data.words(first) or []] == [("one", 1.2)]
     (two,) = data.words(second) or []
     assert two.start == pytest.approx(12.0 - second.start, abs=1e-3)
-    assert "2 clips, 0.2 min" in str(summary) and "in time" in str(summary)
+    assert "2 clips, 0.2 min" in str(summary) and "in time, 1.0 s apart" in str(summary)
 
 
 def test_unusable_videos_are_listed_and_the_others_kept(tmp_path: Path, person: Draw) -> None:
@@ -119,7 +120,7 @@ def test_nothing_is_left_behind(tmp_path: Path, person: Draw) -> None:
         (["in"], "data", "silent.mp4: has no sound"),
         (["none.mp4"], "data", "no such file"),
         (["in"], "no/such/data", "does not exist"),
-        (["in"], "in", "exists already"),
+        (["in"], "in", "--add"),
     ]:
         with pytest.raises(BadInput, match=reason):
             prepare([tmp_path / v for v in videos], tmp_path / output, jobs=1)
@@ -131,12 +132,16 @@ def test_nothing_is_left_behind(tmp_path: Path, person: Draw) -> None:
 
 def test_a_given_crop_is_taken(tmp_path: Path, person: Draw) -> None:
     write_talk(tmp_path / "talk.mp4", person, 4.0, pauses(4.0, []), ())
-    prepare([tmp_path / "talk.mp4"], tmp_path / "data", crop=Crop(10, 20, 300), jobs=1)
+    prepare(
+        [tmp_path / "talk.mp4"], tmp_path / "data", config=IngestionConfig(crop=Crop(10, 20, 300))
+    )
     data = Dataset(tmp_path / "data")
     assert data.clips()[0].speaker == "talk"
     assert data.manifest["sources"][0]["crop"] == {"x": 10, "y": 20, "size": 300}
     with pytest.raises(BadInput, match="outside"):
-        prepare([tmp_path / "talk.mp4"], tmp_path / "b", crop=Crop(480, 0, 99), jobs=1)
+        prepare(
+            [tmp_path / "talk.mp4"], tmp_path / "b", config=IngestionConfig(crop=Crop(480, 0, 99))
+        )
 
 
 def test_cuts_fall_into_pauses() -> None:
@@ -151,33 +156,6 @@ def test_cuts_fall_into_pauses() -> None:
         lengths = [b - a for a, b in clip_bounds(noise, frames)]
         assert sum(lengths) == frames
         assert all(SHORTEST <= n <= LONGEST for n in lengths)
-
-
-def clips_of(speaker: str, sources: int, each: int) -> list[Clip]:
-    return [
-        Clip(f"{speaker}{s}_{i}", speaker, "", f"{speaker}{s}", 10.0 * i, 250)
-        for s in range(sources)
-        for i in range(each)
-    ]
-
-
-def test_split_shares_no_source_when_there_are_three() -> None:
-    clips, rules = split_clips(clips_of("a", 10, 3) + clips_of("b", 3, 4))
-    assert rules == {"a": "by source", "b": "by source"}
-    for speaker, frames in (("a", 3), ("b", 4)):
-        own = [clip for clip in clips if clip.speaker == speaker]
-        test = {clip.source for clip in own if clip.split == "test"}
-        assert len(test) == 1
-        assert test.isdisjoint(clip.source for clip in own if clip.split == "train")
-        assert sum(clip.split == "test" for clip in own) == frames
-    again, _ = split_clips(clips_of("a", 10, 3) + clips_of("b", 3, 4))
-    assert again == clips
-
-
-def test_split_in_time_gives_every_speaker_both() -> None:
-    clips, rules = split_clips(clips_of("a", 1, 20) + clips_of("b", 2, 1) + clips_of("c", 1, 1))
-    assert rules == {"a": "in time", "b": "in time", "c": "train only"}
-    assert [c.id for c in clips if c.split == "test"] == ["a0_18", "a0_19", "b1_0"]
 
 
 def test_sources_are_named_by_folder_or_file(tmp_path: Path) -> None:

@@ -1,0 +1,160 @@
+"""Transcripts that lie beside a video: found by their names, read whatever their format."""
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from data_prep.alignment import align
+from data_prep.captions import read_captions
+from data_prep.cues import Cue, label, plain_text, spread
+from data_prep.errors import BadInput
+from data_prep.rates import SAMPLE_RATE
+from data_prep.textgrid import read_textgrid
+from data_prep.words import Word
+
+ENDINGS = ("words.json", "TextGrid", "ctm", "json", "vtt", "srt", "fragments.json", "txt")
+"""Endings after a video's stem, best first; a language may stand before (`talk.en.vtt`)."""
+
+_LANGUAGE = r"(?:[a-z]{2,3}(?:-[\w-]+)?\.)?"
+_PROMPT = re.compile(r"\s*(\d+)\s+(\d+)\s+(?=\D)")
+"""First and last sample, which corpora in TIMIT's style put before the text."""
+
+_LISTS = ("words", "w", "segments", "fragments", "results", "result", "monologues", "elements")
+_TEXTS = ("word", "text", "content", "value", "t", "lines", "transcript")
+_STARTS = ("start", "begin", "startTime", "start_time", "b", "ts")
+_ENDS = ("end", "endTime", "end_time", "e", "end_ts")
+_LENGTHS = ("duration", "dur", "d")
+
+
+@dataclass(frozen=True)
+class Transcript:
+    """What a transcript tells.
+
+    Attributes:
+        words: with times in seconds as the file counts them; empty where it tells none.
+        text: of a file without times, to be aligned with the sound.
+        span: seconds of the sound that `text` covers, None for all of it.
+    """
+
+    words: list[Word]
+    text: str = ""
+    span: tuple[float, float] | None = None
+
+    def aligned(self, samples: np.ndarray) -> list[Word]:
+        """The words, timed by the sound where the file told no times.
+
+        Args:
+            samples: `(N,)` mono at 16 kHz from the beginning of the sound.
+        """
+        if not self.text:
+            return self.words
+        start, end = self.span or (0.0, len(samples) / SAMPLE_RATE)
+        part = samples[round(start * SAMPLE_RATE) : round(end * SAMPLE_RATE)]
+        return [Word(w.word, w.start + start, w.end + start) for w in align(self.text, part)]
+
+
+def find_transcript(video: Path) -> Path | None:
+    """The best transcript beside a video: a file of the same stem with one of `ENDINGS`."""
+    video = Path(video)
+    best: tuple[int, str] | None = None
+    for name in sorted(path.name for path in video.parent.iterdir()):
+        if not name.startswith(video.stem + "."):
+            continue
+        rest = name[len(video.stem) + 1 :]
+        for rank, ending in enumerate(ENDINGS):
+            if re.fullmatch(_LANGUAGE + re.escape(ending), rest, re.IGNORECASE):
+                best = min(best or (rank, name), (rank, name))
+                break
+    return None if best is None else video.parent / best[1]
+
+
+def read_transcript(path: Path) -> Transcript:
+    """Read a transcript; its format follows from the name.
+
+    JSON of word times (a list of words or of segments, and what Whisper, Vosk, PocketSphinx,
+    Gentle and aeneas write), Praat TextGrid, CTM, SRT, WebVTT, or plain text. In cues of many
+    words the time is shared out by their lengths.
+
+    Raises:
+        BadInput: not readable, not of that format, or without a word.
+    """
+    path = Path(path)
+    try:
+        transcript = _parse(_decode(path.read_bytes()), path.suffix.lower())
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise BadInput(f"{path}: cannot be read as a transcript ({reason}); correct it") from error
+    if not transcript.words and not transcript.text:
+        raise BadInput(f"{path}: holds no words; correct or remove it")
+    return transcript
+
+
+def _decode(data: bytes) -> str:
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data.decode("utf-16")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("cp1252", errors="strict")
+
+
+def _parse(text: str, suffix: str) -> Transcript:
+    if suffix == ".json":
+        return Transcript(spread(list(_json_cues(json.loads(text)))))
+    if suffix == ".textgrid":
+        return Transcript(spread(read_textgrid(text)))
+    if suffix == ".ctm":
+        return Transcript(spread(list(_ctm_cues(text))))
+    if suffix in (".srt", ".vtt"):
+        return Transcript(spread(read_captions(text)))
+    prompt = _PROMPT.match(text)
+    if prompt and int(prompt[2]) - int(prompt[1]) >= SAMPLE_RATE // 10:
+        span = (int(prompt[1]) / SAMPLE_RATE, int(prompt[2]) / SAMPLE_RATE)
+        return Transcript([], plain_text(text[prompt.end() :]), span)
+    return Transcript([], plain_text(text))
+
+
+def _ctm_cues(text: str) -> Iterator[Cue]:
+    """Lines of `name channel start duration word [confidence]`."""
+    for line in text.splitlines():
+        if not line.strip() or line.startswith((";;", "#")):
+            continue
+        parts = line.split()
+        if len(parts) < 5:
+            raise ValueError(f"line {line[:40]!r} has fewer than five fields")
+        if label(parts[4]):
+            start = float(parts[2])
+            yield Cue(start, start + float(parts[3]), label(parts[4]))
+
+
+def _first(entry: dict[str, Any], names: tuple[str, ...]) -> Any:
+    return next((entry[name] for name in names if entry.get(name) not in (None, "")), None)
+
+
+def _json_cues(node: Any) -> Iterator[Cue]:
+    """The finest entries of a JSON file that have a text and times."""
+    if isinstance(node, list):
+        for entry in node:
+            yield from _json_cues(entry)
+        return
+    if not isinstance(node, dict):
+        raise ValueError(f"no word with times, but {str(node)[:40]!r}")
+    inner = next((node[name] for name in _LISTS if isinstance(node.get(name), list)), None)
+    if inner:
+        yield from _json_cues(inner)
+        return
+    text = _first(node, _TEXTS)
+    text = label(" ".join(text) if isinstance(text, list) else str(text or ""))
+    start, end, length = (_first(node, names) for names in (_STARTS, _ENDS, _LENGTHS))
+    if start is None or (end is None and length is None):
+        if text and "case" not in node:  # Gentle lists words that it did not find
+            raise ValueError(f"no times for {text[:40]!r}")
+        return
+    if text:
+        stop = float(end) if end is not None else float(start) + float(length)
+        yield Cue(float(start), stop, text)

@@ -1,0 +1,48 @@
+"""Time for a random pair of frames of a dataset, and bytes for each frame.
+
+    python scripts/bench_frames.py DATASET [PAIRS]
+
+As training reads them: a random clip is opened, two random frames of it are decoded, on one core.
+The files are in the system's cache after the first round, as they are in training.
+"""
+
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from data_prep.dataset import Dataset, FrameStore
+
+
+def main() -> None:
+    """Print the figures."""
+    cv2.setNumThreads(1)
+    data = Dataset(Path(sys.argv[1]))
+    pairs = int(sys.argv[2]) if len(sys.argv) > 2 else 2000
+    clips = data.clips()
+    random = np.random.default_rng(0)
+    times = []
+    worked = time.process_time()
+    for _ in range(pairs):
+        begun = time.perf_counter()
+        store = data.frames(clips[int(random.integers(len(clips)))])
+        first, second = random.integers(len(store), size=2)
+        pair = np.stack([store[int(first)], store[int(second)]])
+        times.append(time.perf_counter() - begun)
+    worked = 1000 * (time.process_time() - worked) / pairs
+    assert pair.shape == (2, 256, 256, 3)
+    size = sum((data.path / "frames" / f"{clip.id}.safetensors").stat().st_size for clip in clips)
+    stored = sum(len(FrameStore(data.frames(clip).path)) for clip in clips)
+    milliseconds = 1000 * np.array(times)
+    print(
+        f"{pairs} pairs: median {np.median(milliseconds):.2f} ms, "
+        f"mean {milliseconds.mean():.2f} ms, 95 % under {np.percentile(milliseconds, 95):.2f} ms, "
+        f"processor {worked:.2f} ms; "
+        f"{size / stored / 1000:.1f} kB a frame"
+    )
+
+
+if __name__ == "__main__":
+    main()
