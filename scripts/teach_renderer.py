@@ -29,9 +29,11 @@ from mraa.grid import coordinate_grid
 from mraa.losses import PerceptualPyramid
 from mraa.pairs import Augmentation, augment
 from mraa.renderer import Renderer, from_pixels
+from mraa.training import load_initial
 
 REGION_STEPS, MASK_STEPS, RATE, SEED, SIZE = 900, 1500, 1e-3, 0, 256
 JITTER = Augmentation(0, 0, brightness=0.2, contrast=0.3, saturation=0.8, hue=0.3)
+ZOOM, FACE = (0.75, 2.2), np.array([128.0, 70.0])
 LOSSES: list[float] = []
 
 LIMBS = [
@@ -95,8 +97,8 @@ class TaughtFrames:
         """Two frames (2, 256, 256, 3) uint8 of a clip, targets (2, K, 6) of their regions."""
         clip = self.clips[random.integers(len(self.clips))]
         numbers = random.integers(clip.n_frames, size=2)
-        scale = random.uniform(0.75, 1.25)
-        offset = SIZE / 2 * (1 - scale) + random.uniform(-30, 30, 2)
+        scale = np.exp(random.uniform(*np.log(ZOOM)))  # photos are often closer than the phantom
+        offset = FACE * (1 - scale) + random.uniform(-30, 30, 2)
         shake = np.array([[scale, 0, offset[0]], [0, scale, offset[1]]])
         frames = self.dataset.frames(clip)
         moved = [
@@ -207,6 +209,8 @@ def main() -> None:
     torch.manual_seed(SEED)
     random = np.random.default_rng(SEED)
     renderer = Renderer(settings.renderer).to(memory_format=torch.channels_last)
+    if settings.train_renderer.initial:
+        load_initial(renderer, Path(settings.train_renderer.initial))
     frames = TaughtFrames(raw, Dataset(dataset))
     teach_regions(renderer, frames, random)
     teach_masks(renderer, frames, random)
