@@ -1,113 +1,169 @@
 """One source video becomes clips of a dataset."""
 
 import itertools
-from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from data_prep.clip_files import Piece, fault, piece_of_sound, write_clip
+from data_prep.analysis import Analysis, analyse
+from data_prep.clip_files import Piece, fault, motion, piece_of_sound, tracking_fault, write_clip
 from data_prep.container import check_file
 from data_prep.cutting import MIN_FRAMES, clip_bounds
 from data_prep.dataset import Clip
 from data_prep.errors import BadInput
-from data_prep.rates import FPS, SAMPLE_RATE, frames_covering
+from data_prep.outcome import ClipDetail, IngestionConfig, Outcome, Span
+from data_prep.rates import FPS, SAMPLE_RATE, SAMPLES_PER_FRAME, frames_covering
 from data_prep.sound import read_sound
 from data_prep.source import Source, sha256
-from data_prep.speaker import Crop, check_crop, cut_out, speaker_crop
-from data_prep.tracking import speaker_face
+from data_prep.spans import NO_PERSON, TWO_PEOPLE, Take, find_takes
+from data_prep.speaker import Crop, cut_out
 from data_prep.video import VideoInfo, probe, read_frames
 from data_prep.words import Word, read_words
 
+__all__ = ["IngestionConfig", "Outcome", "ingest", "words_beside"]
 
-@dataclass
-class Outcome:
-    """What became of a source.
+SOUND_OVER = "after the end of the sound"
 
-    Attributes:
-        source: the video.
-        sha256: of the file.
-        info: what the file holds, None when it could not be read.
-        crop: square that was cut out, None when the video was refused before.
-        clips: that were kept; their splits are not decided yet.
-        dropped: number of clips dropped, by reason.
-        refused: why nothing of the video was kept, or None.
-    """
-
-    source: Source
-    sha256: str = ""
-    info: VideoInfo | None = None
-    crop: Crop | None = None
-    clips: list[Clip] = field(default_factory=list)
-    dropped: Counter[str] = field(default_factory=Counter)
-    refused: str | None = None
+_REMEDIES = {
+    TWO_PEOPLE: "choose with --person left, right or largest, or give --crop x,y,size",
+    NO_PERSON: "where there is one, give --crop x,y,size",
+}
 
 
-def ingest(source: Source, folder: Path, crop: Crop | None = None) -> Outcome:
+@dataclass(frozen=True)
+class _Plan:
+    """A clip to be cut: its frames, and the take (with its number) that they belong to."""
+
+    first: int
+    stop: int
+    number: int
+    take: Take
+
+
+def ingest(
+    source: Source, folder: Path, config: IngestionConfig, words: list[Word] | None = None
+) -> Outcome:
     """Cut a video into clips and write their files into a dataset folder.
 
-    Whatever is wrong with the video is told in the outcome; nothing is raised for it.
+    The video is decoded twice: small and grey to find shots, camera motion, people and black
+    bars; then to cut the clips. The frames of one clip are held at a time. Whatever is wrong
+    with the video is told in the outcome; nothing is raised for it.
 
     Args:
         source: the video.
         folder: the dataset; the folders for the clips' files exist.
-        crop: square of the picture; None finds it by the speaker's face.
+        config: what to keep and how.
+        words: of the whole video, with times from its first frame; None when unknown.
     """
     outcome = Outcome(source)
     try:
         check_file(source.path)
         outcome.sha256 = sha256(source.path)
-        _ingest(outcome, folder, crop)
+        _ingest(outcome, folder, config, words)
     except (BadInput, cv2.error) as error:
         outcome.refused = str(error).removeprefix(f"{source.path}: ")
     if not outcome.clips and outcome.refused is None:
-        outcome.refused = f"no clip kept ({', '.join(outcome.dropped)})"
+        outcome.refused = _why_nothing(outcome)
     return outcome
 
 
-def _ingest(outcome: Outcome, folder: Path, crop: Crop | None) -> None:
+def _ingest(
+    outcome: Outcome, folder: Path, config: IngestionConfig, words: list[Word] | None
+) -> None:
     source = outcome.source
     info = outcome.info = probe(source.path)
-    if not info.has_sound:
-        raise BadInput("has no sound")
-    samples = read_sound(source.path, SAMPLE_RATE, origin=info.start)
-    expected = min(round(info.duration * FPS), frames_covering(len(samples)))
-    if expected < MIN_FRAMES:
-        raise BadInput(f"shorter than {MIN_FRAMES} frames ({expected})")
-    words = _words(source.path, info.start)
-    if crop is None:
-        face = speaker_face(source.path, info)
-        crop = speaker_crop(face, info.height, info.width)
-    check_crop(crop, info.height, info.width)
-    outcome.crop = crop
-    for piece in _pieces(source, samples, clip_bounds(samples, expected), crop):
-        reason = fault(piece)
+    if not info.has_sound and not config.silent_ok:
+        raise BadInput("has no sound; --silent-ok keeps it for training the renderer")
+    analysis = analyse(source.path, info)
+    samples = _sound(source, info, analysis)
+    frames = min(analysis.frames, frames_covering(len(samples)))
+    if frames < MIN_FRAMES:
+        raise BadInput(f"shorter than {MIN_FRAMES} frames ({frames})")
+    takes = find_takes(analysis, info, config, frames)
+    outcome.spans = [take.span for take in takes]
+    if frames < analysis.frames:
+        outcome.spans.append(Span(frames, analysis.frames, SOUND_OVER))
+    for span in outcome.spans:
+        if span.reason is not None:
+            outcome.dropped[span.reason] += (span.stop - span.first) / FPS  # type: ignore[assignment]
+    plans = list(_plans(takes, samples, config))
+    for plan, piece in _pieces(source, samples, plans, analysis):
+        reason = fault(piece) or tracking_fault(plan.take, plan.first, plan.stop)
         if reason is not None:
-            outcome.dropped[reason] += 1
+            outcome.dropped[reason] += len(piece.frames) / FPS  # type: ignore[assignment]
             continue
         write_clip(folder, piece, words)
-        start = piece.first / FPS
-        outcome.clips.append(
-            Clip(piece.id, source.speaker, "", source.name, start, len(piece.frames))
+        clip = Clip(
+            piece.id, source.speaker, "", source.name, piece.first / FPS, len(piece.frames)
         )
+        face = plan.take.span.face
+        height = 0.0 if face is None else face.h
+        outcome.clips.append(clip)
+        outcome.details[clip.id] = ClipDetail(plan.number, height, motion(piece.frames))
+
+
+def _sound(source: Source, info: VideoInfo, analysis: Analysis) -> np.ndarray:
+    if not info.has_sound:
+        return np.zeros(analysis.frames * SAMPLES_PER_FRAME, np.float32)
+    return read_sound(source.path, SAMPLE_RATE, origin=info.start)
+
+
+def _plans(takes: list[Take], samples: np.ndarray, config: IngestionConfig) -> Iterator[_Plan]:
+    shortest = max(round(config.shortest * FPS), MIN_FRAMES)
+    longest = max(round(config.longest * FPS), shortest)
+    for number, take in enumerate(takes):
+        if take.span.reason is not None:
+            continue
+        first, stop = take.span.first, take.span.stop
+        part = samples[first * SAMPLES_PER_FRAME : stop * SAMPLES_PER_FRAME]
+        for a, b in clip_bounds(part, stop - first, shortest, longest):
+            yield _Plan(first + a, first + b, number, take)
 
 
 def _pieces(
-    source: Source, samples: np.ndarray, bounds: list[tuple[int, int]], crop: Crop
-) -> Iterator[Piece]:
+    source: Source, samples: np.ndarray, plans: list[_Plan], analysis: Analysis
+) -> Iterator[tuple[_Plan, Piece]]:
     """The clips one after another; the frames of one are held at a time."""
-    frames = read_frames(source.path, FPS)
-    for number, (first, stop) in enumerate(bounds):
-        cut = [cut_out(frame, crop) for frame in itertools.islice(frames, stop - first)]
-        if cut:
-            sound = piece_of_sound(samples, first, len(cut))
-            yield Piece(f"{source.name}_{number:03d}", first, cut, sound)
+    if not plans:
+        return
+    frames = read_frames(source.path, FPS, [(plan.first, plan.stop) for plan in plans])
+    for number, plan in enumerate(plans):
+        cut = [
+            _cut(frame, plan.take, analysis, plan.first + k)
+            for k, frame in enumerate(itertools.islice(frames, plan.stop - plan.first))
+        ]
+        sound = piece_of_sound(samples, plan.first, len(cut))
+        yield plan, Piece(f"{source.name}_{number:03d}", plan.first, cut, sound)
 
 
-def _words(path: Path, origin: float) -> list[Word] | None:
+def _cut(frame: np.ndarray, take: Take, analysis: Analysis, number: int) -> np.ndarray:
+    crop, view = take.span.crop, take.view
+    assert crop is not None
+    inner = view.of(frame)
+    if take.reference is not None:
+        matrix = analysis.camera.between(number, take.reference)
+        shift = np.array([[1.0, 0, view.left], [0, 1, view.top], [0, 0, 1]])
+        inner = cv2.warpAffine(
+            inner,
+            (np.linalg.inv(shift) @ matrix @ shift)[:2],
+            (view.width, view.height),
+            flags=cv2.INTER_CUBIC,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+    return cut_out(inner, Crop(crop.x - view.left, crop.y - view.top, crop.size))
+
+
+def _why_nothing(outcome: Outcome) -> str:
+    parts = [f"{reason} ({seconds:.1f} s)" for reason, seconds in outcome.dropped.most_common()]
+    why = ", ".join(parts) or "no clip kept"
+    remedy = next((_REMEDIES[r] for r, _ in outcome.dropped.most_common(1) if r in _REMEDIES), "")
+    return f"{why}; {remedy}" if remedy else why
+
+
+def words_beside(path: Path, origin: float) -> list[Word] | None:
     """Words from the file `<video's stem>.words.json` beside a video, timed from `origin`."""
     beside = path.with_suffix(".words.json")
     if not beside.exists():

@@ -14,13 +14,16 @@ import cv2
 from data_prep.clip_files import FOLDERS
 from data_prep.dataset import FORMAT, MANIFEST, TABLE, Clip, write_table
 from data_prep.errors import BadInput
-from data_prep.ingestion import Outcome, ingest
+from data_prep.ingestion import ingest, words_beside
+from data_prep.outcome import IngestionConfig, Outcome
 from data_prep.output import check_apart, check_output, whole_folder
 from data_prep.progress import progress
 from data_prep.rates import FPS, IMAGE_SIZE, SAMPLE_RATE
 from data_prep.source import Source, find_sources
 from data_prep.speaker import Crop
 from data_prep.split import split_clips
+from data_prep.video import probe
+from data_prep.words import Word
 
 _MESSAGE_REASONS = 3
 
@@ -33,14 +36,14 @@ class Summary:
         path: the dataset.
         clips: all that were kept.
         rules: how the clips of each speaker were divided into training and test.
-        dropped: number of clips dropped, by reason.
+        dropped: seconds dropped, by reason.
         refused: videos of which nothing was kept, with the reason.
     """
 
     path: Path
     clips: list[Clip]
     rules: dict[str, str]
-    dropped: dict[str, int]
+    dropped: dict[str, float]
     refused: list[tuple[Path, str]]
 
     def __str__(self) -> str:
@@ -52,7 +55,7 @@ class Summary:
             lines.append(
                 f"  {speaker}: {len(own)} clips, {_minutes(own)}; {len(test)} for testing ({rule})"
             )
-        lines += [f"  dropped {count}: {reason}" for reason, count in self.dropped.items()]
+        lines += [f"  dropped {seconds:.1f} s: {reason}" for reason, seconds in self.dropped.items()]
         lines += [f"  refused {path}: {reason}" for path, reason in self.refused]
         return "\n".join(lines)
 
@@ -118,16 +121,30 @@ def _ingest_all(
     jobs = min(jobs, len(sources))
     if jobs <= 1:
         for source in sources:
-            yield ingest(source, folder, crop)
+            yield _ingest(source, folder, crop)
         return
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(jobs, context, initializer=cv2.setNumThreads, initargs=(1,))
     try:
-        tasks = [pool.submit(ingest, source, folder, crop) for source in sources]
+        tasks = [pool.submit(_ingest, source, folder, crop) for source in sources]
         for task in as_completed(tasks):
             yield task.result()
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def _ingest(source: Source, folder: Path, crop: Crop | None) -> Outcome:
+    try:
+        words = _words(source.path)
+    except BadInput as error:
+        return Outcome(source, refused=str(error))
+    return ingest(source, folder, IngestionConfig(crop=crop), words)
+
+
+def _words(path: Path) -> list[Word] | None:
+    if not path.with_suffix(".words.json").exists():
+        return None
+    return words_beside(path, probe(path).start)
 
 
 def _nothing_kept(outcomes: list[Outcome]) -> str:
@@ -152,7 +169,7 @@ def _manifest(outcomes: list[Outcome], rules: dict[str, str]) -> dict[str, Any]:
                 "sha256": o.sha256,
                 "speaker": o.source.speaker,
                 "video": None if o.info is None else asdict(o.info),
-                "crop": None if o.crop is None else asdict(o.crop),
+                "crop": next((asdict(s.crop) for s in o.spans if s.crop is not None), None),
                 "clips": len(o.clips),
                 "seconds": round(sum(clip.n_frames for clip in o.clips) / FPS, 2),
                 "dropped": dict(o.dropped),
