@@ -53,15 +53,18 @@ def analyse(path: Path, info: VideoInfo, faces: bool = True) -> Analysis:
     for grey, frames in read_grey(path, LONGEST):
         scale = max(info.height, info.width) / max(grey.shape)
         shots.add(grey, frames)
-        camera.add(grey, follower.faces, frames)
+        if follower.astray:
+            camera.hold(frames)
+        else:
+            camera.add(grey, follower.places, frames)
+        people = len(follower.places)
         if faces:
             follower.add(grey, count, new=camera.lost)
-        if camera.lost:
-            camera.avoid(follower.faces)
+        if camera.lost or len(follower.places) > people:
+            camera.avoid(follower.places)
         bars.add(grey, frames, cut=camera.lost)
         count += frames
     sightings = [
-        Sighting(s.frame, tuple(face.scaled(scale) for face in s.faces))
-        for s in follower.sightings
+        Sighting(s.frame, tuple(face.scaled(scale) for face in s.faces)) for s in follower.sightings
     ]
     return Analysis(count, shots.shots(), camera.path(scale), sightings, bars)

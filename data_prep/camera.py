@@ -31,7 +31,14 @@ _REACH, _WIDEST = 3.2, 0.35
 """Half width, in face widths, of the column around a face, from the hair down, in which no
 background is sought; and the most of the picture's width that the columns take to each side."""
 
-_LOOK = {"winSize": (15, 15), "maxLevel": 3, "minEigThreshold": 1e-3}
+_STILL, _STILL_SHARE, _STILL_LEAD = 0.5, 0.3, 0.6
+"""Pixels, part of the points, and part of those that move as one, by which points that stay
+where they are tell of a still camera: a person may have more points than the background."""
+
+_SPREAD = 0.8
+"""Width and height over which points must lie, in those of the picture, added up; the points of
+a limb lie closer together."""
+
 _PROBES = np.array([[0.15, 0.15], [0.85, 0.15], [0.15, 0.85], [0.85, 0.85]])
 """Places in the picture, in widths and heights, at which motion is measured."""
 
@@ -62,8 +69,8 @@ class CameraTracker:
         self._scale = 1.0
         self._previous: np.ndarray | None = None
         self._reference: np.ndarray | None = None
-        self._points = np.zeros((0, 1, 2), np.float32)
-        self._seen = np.zeros((0, 1, 2), np.float32)
+        self._points: np.ndarray = np.zeros((0, 1, 2), np.float32)
+        self._seen: np.ndarray = self._points
         self._held = 0
         self._base = np.eye(3)
         self._current = np.eye(3)
@@ -79,9 +86,7 @@ class CameraTracker:
             frames: for how many frames at 25 fps it is shown.
         """
         self._scale = min(1.0, SIDE / max(grey.shape))
-        small = cv2.resize(
-            grey, None, fx=self._scale, fy=self._scale, interpolation=cv2.INTER_AREA
-        )
+        small = cv2.resize(grey, None, fx=self._scale, fy=self._scale, interpolation=cv2.INTER_AREA)
         people = [face.scaled(self._scale) for face in faces]
         self.lost = not self._follow(small, people)
         if self.lost:
@@ -93,6 +98,12 @@ class CameraTracker:
         else:
             self._held += 1
         self._previous = small
+        self._matrices.extend([self._current] * frames)
+
+    def hold(self, frames: int = 1) -> None:
+        """Take the camera for still in the next picture: nobody knows where the people are."""
+        self.lost = False
+        self._held = 0
         self._matrices.extend([self._current] * frames)
 
     def avoid(self, faces: Sequence[Face]) -> None:
@@ -122,11 +133,12 @@ class CameraTracker:
             top = face.y - 0.6 * face.h
             free[max(0, int(top)) :, max(0, int(left)) : max(0, int(right))] = 0
         found = cv2.goodFeaturesToTrack(small, _POINTS, 0.02, 7, mask=free)
-        self._points = np.zeros((0, 1, 2), np.float32) if found is None else found
-        if len(self._points):
+        self._points = np.zeros((0, 1, 2), np.float32)
+        if found is not None:
             # Corners too weak to be followed are not found again even where they are.
-            _, seen, _ = cv2.calcOpticalFlowPyrLK(small, small, self._points, None, **_LOOK)
-            self._points = self._points[seen.ravel() == 1]
+            seen, good = _flow(small, small, np.asarray(found, np.float32))
+            if good.sum() >= _FEWEST and _spread(seen[good], small) >= _SPREAD:
+                self._points = seen[good]
         self._seen = self._points
 
     def _follow(self, small: np.ndarray, people: Sequence[Face]) -> bool:
@@ -155,25 +167,49 @@ class CameraTracker:
     def _match(self, small: np.ndarray) -> tuple[np.ndarray | None, float]:
         """Matrix from the reference to a picture, and the part of the points that agree."""
         assert self._reference is not None
-        seen, found, _ = cv2.calcOpticalFlowPyrLK(
-            self._reference,
-            small,
-            self._points,
-            self._seen.copy(),
-            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-            **_LOOK,
-        )
-        good = found.ravel() == 1
+        seen, good = _flow(self._reference, small, self._points, self._seen)
         if good.sum() < _FEWEST:
             return None, 0.0
         affine, agree = cv2.estimateAffinePartial2D(
             self._points[good], seen[good], ransacReprojThreshold=_CLOSE
         )
         share = 0.0 if affine is None else float(agree.sum()) / len(self._points)
+        stay = np.abs(seen - self._points)[good].max(axis=(1, 2)) < _STILL
+        still = float(stay.sum()) / len(self._points)
+        if still >= max(_STILL_SHARE, _STILL_LEAD * share):
+            self._seen = self._points
+            return np.eye(3), max(share, still)
         if share * len(self._points) < max(_FEWEST * 0.75, _MAJORITY * good.sum()):
+            return None, 0.0
+        if _spread(seen[good][agree.ravel() == 1], small) < _SPREAD:
             return None, 0.0
         self._seen = cv2.transform(self._points, affine).astype(np.float32)
         return np.vstack([affine, [0, 0, 1]]), share
+
+
+def _flow(
+    before: np.ndarray, after: np.ndarray, points: np.ndarray, guess: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where points `(N, 1, 2)` of a picture are in another, and which of them were found."""
+    seen, found, _ = cv2.calcOpticalFlowPyrLK(
+        before,
+        after,
+        points,
+        points.copy() if guess is None else guess.copy(),
+        winSize=(15, 15),
+        maxLevel=3,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        minEigThreshold=1e-3,
+    )
+    return np.asarray(seen, np.float32), np.asarray(found).ravel() == 1
+
+
+def _spread(points: np.ndarray, picture: np.ndarray) -> float:
+    """Width and height over which points `(N, 1, 2)` lie, in those of the picture, added up."""
+    if not len(points):
+        return 0.0
+    height, width = picture.shape
+    return float((np.ptp(points[:, 0], axis=0) / (width, height)).sum())
 
 
 def _ways(matrices: np.ndarray, width: float, height: float) -> np.ndarray:

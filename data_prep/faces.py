@@ -85,7 +85,10 @@ def _hits(grey: np.ndarray, name: str, smallest: int) -> list[tuple[Face, int]]:
     boxes, counts = _cascade(name).detectMultiScale2(
         grey, scaleFactor=1.1, minNeighbors=2, minSize=(smallest, smallest)
     )
-    return [(Face(*map(float, box)), int(n)) for box, n in zip(boxes, counts, strict=True)]
+    return [
+        (Face(float(x), float(y), float(w), float(h)), int(n))
+        for (x, y, w, h), n in zip(boxes, counts, strict=True)
+    ]
 
 
 def _same(a: Face, b: Face) -> bool:

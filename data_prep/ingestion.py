@@ -96,9 +96,7 @@ def _ingest(
             outcome.dropped[reason] += len(piece.frames) / FPS  # type: ignore[assignment]
             continue
         write_clip(folder, piece, words)
-        clip = Clip(
-            piece.id, source.speaker, "", source.name, piece.first / FPS, len(piece.frames)
-        )
+        clip = Clip(piece.id, source.speaker, "", source.name, piece.first / FPS, len(piece.frames))
         face = plan.take.span.face
         height = 0.0 if face is None else face.h
         outcome.clips.append(clip)

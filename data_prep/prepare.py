@@ -55,7 +55,9 @@ class Summary:
             lines.append(
                 f"  {speaker}: {len(own)} clips, {_minutes(own)}; {len(test)} for testing ({rule})"
             )
-        lines += [f"  dropped {seconds:.1f} s: {reason}" for reason, seconds in self.dropped.items()]
+        lines += [
+            f"  dropped {seconds:.1f} s: {reason}" for reason, seconds in self.dropped.items()
+        ]
         lines += [f"  refused {path}: {reason}" for path, reason in self.refused]
         return "\n".join(lines)
 

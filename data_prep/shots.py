@@ -135,7 +135,5 @@ class ShotDetector:
         edges = np.flatnonzero(np.diff(broken)) + 1
         bounds = sorted({0, self._count, *edges.tolist(), *self.cuts()})
         return [
-            Shot(a, b, bool(broken[a]))
-            for a, b in zip(bounds, bounds[1:], strict=False)
-            if b > a
+            Shot(a, b, bool(broken[a])) for a, b in zip(bounds, bounds[1:], strict=False) if b > a
         ]

@@ -7,6 +7,7 @@ import numpy as np
 from av.audio.frame import AudioFrame
 from av.audio.resampler import AudioResampler
 from av.audio.stream import AudioStream
+from av.container import InputContainer
 from av.stream import Disposition
 
 from data_prep.container import open_media
@@ -45,15 +46,15 @@ def sound_track(path: Path) -> int:
 def _is_audible(path: Path, track: int) -> bool:
     with open_media(path) as container:
         stream = container.streams.audio[track]
-        return stream.codec_context is not None and _reaches(stream, AUDIBLE)
+        return stream.codec_context is not None and _reaches(container, stream, AUDIBLE)
 
 
-def _reaches(stream: AudioStream, level: float) -> bool:
+def _reaches(container: InputContainer, stream: AudioStream, level: float) -> bool:
     """Whether a sample of the track's beginning is at least that loud; damage is silence."""
     mixer = AudioResampler("fltp")
     heard = 0.0
     try:
-        for frame in stream.container.decode(stream):
+        for frame in container.decode(stream):
             if not isinstance(frame, AudioFrame) or not frame.samples:
                 continue
             for part in mixer.resample(frame):

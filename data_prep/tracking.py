@@ -54,18 +54,21 @@ class FaceFollower:
 
     Attributes:
         sightings: what was found, of every picture that was looked at.
+        places: where faces are, or were when they were last found in this scene.
     """
 
     def __init__(self) -> None:
         self.sightings: list[Sighting] = []
+        self.places: list[Face] = []
         self._known: list[tuple[Face, int]] = []
         self._next_near = self._next_whole = 0
         self._wait = _SOON
+        self._fresh = True
 
     @property
-    def faces(self) -> list[Face]:
-        """Where faces are, as far as known."""
-        return [face for face, _ in self._known]
+    def astray(self) -> bool:
+        """Whether there was somebody in this scene who is not found any more."""
+        return bool(self.places) and not self._known
 
     def add(self, grey: np.ndarray, frame: int, new: bool) -> None:
         """Look at a picture if it is time.
@@ -76,21 +79,24 @@ class FaceFollower:
             new: whether it shows another scene than the last.
         """
         if new:
-            self._known, self._wait, self._next_whole = [], _SOON, frame
+            self.places, self._known = [], []
+            self._wait, self._next_whole, self._fresh = _SOON, frame, True
         if frame >= self._next_whole:
             self._look_everywhere(grey, frame)
         elif frame >= self._next_near and self._known:
             self._look_again(grey, frame)
             if not self._known:
                 self._next_whole = min(self._next_whole, frame + NEAR_STEP)
+        self.places = [face for face, _ in self._known] or self.places
 
     def _look_everywhere(self, grey: np.ndarray, frame: int) -> None:
         found = find_faces(grey, sides=_SIDES)
         self.sightings.append(Sighting(frame, tuple(found)))
         if found:
             self._known = [(face, _PATIENCE) for face in rivals(found)[:_FOLLOWED]]
-            self._wait = _SOON
-            self._next_whole = frame + WHOLE_STEP
+            # A hand may hide a face in the first picture, so it is looked at soon again.
+            self._next_whole = frame + (_SOON if self._fresh else WHOLE_STEP)
+            self._wait, self._fresh = _SOON, False
         else:
             self._known = []
             self._next_whole = frame + self._wait

@@ -149,9 +149,7 @@ def probe(path: Path) -> VideoInfo:
             duration = (container.duration or 0) / av.time_base
         rate = float(stream.average_rate or stream.guessed_rate or 0)
         tracks = len(container.streams.audio)
-    return VideoInfo(
-        width, height, rate, duration, tracks > 0, start, tracks, sound_track(path)
-    )
+    return VideoInfo(width, height, rate, duration, tracks > 0, start, tracks, sound_track(path))
 
 
 def _time(frame: VideoFrame, otherwise: float) -> float:
