@@ -18,8 +18,8 @@ _FEWEST = 12
 _MAJORITY = 0.5
 """Part of the points that must move as one."""
 
-_KEPT = 0.6
-"""Part of a reference's points below which a new one is taken."""
+_KEPT = 0.7
+"""Part of the points that once moved as one below which a new reference is taken."""
 
 _FAR = 0.12
 """Way, in long sides, after which a new reference is taken, for what has come into view."""
@@ -72,6 +72,7 @@ class CameraTracker:
         self._points: np.ndarray = np.zeros((0, 1, 2), np.float32)
         self._seen: np.ndarray = self._points
         self._held = 0
+        self._most = 0.0
         self._base = np.eye(3)
         self._current = np.eye(3)
         self._matrices: list[np.ndarray] = []
@@ -140,6 +141,7 @@ class CameraTracker:
             if good.sum() >= _FEWEST and _spread(seen[good], small) >= _SPREAD:
                 self._points = seen[good]
         self._seen = self._points
+        self._most = 0.0
 
     def _follow(self, small: np.ndarray, people: Sequence[Face]) -> bool:
         """Set the current matrix by the new picture; whether anything of it was known."""
@@ -160,7 +162,8 @@ class CameraTracker:
                 return False
         self._current = matrix @ self._base
         way = np.abs(_ways(matrix[None], small.shape[1], small.shape[0])).max()
-        if kept < _KEPT or way > _FAR:
+        self._most = max(self._most, kept)
+        if kept < _KEPT * self._most or way > _FAR:
             self._refer(small, people)
         return True
 

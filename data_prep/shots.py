@@ -38,7 +38,12 @@ _FADE_BEND = 0.3
 """In a fade the middle is the mean of both sides, but for this part of the change."""
 
 _MARGIN = 2
-"""Frames left out on either side of a fade."""
+_LATE = (1 - _FADE_BEND) / (1 + _FADE_BEND)
+"""Part of the reach by which the beginning of a fade is missed: there one side stands still,
+and with a step of j into the fade the bend is (reach - j) / (reach + j)."""
+
+_BETWEEN = 12
+"""Frames between two fades below which they are one: out to black and in again."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +81,7 @@ class ShotDetector:
         self._starts: list[int] = []
         self._change: list[float] = []
         self._share: list[float] = []
-        self._fading: list[int] = []
+        self._fading: list[tuple[int, int]] = []
 
     def add(self, grey: np.ndarray, frames: int = 1) -> None:
         """Look at the next picture.
@@ -110,7 +115,7 @@ class ShotDetector:
                 continue
             bend = np.abs(middle - (before + after) / 2).mean() * 2 / change.mean()
             if bend < _FADE_BEND:
-                self._fading.append(self._count - 1 - centre)
+                self._fading.append((self._count - 1 - centre, reach))
                 return
 
     def cuts(self) -> list[int]:
@@ -130,8 +135,12 @@ class ShotDetector:
     def shots(self) -> list[Shot]:
         """All of the video's frames as shots and the fades between them, in order."""
         broken = np.zeros(self._count, bool)
-        for frame in self._fading:
-            broken[max(0, frame - _MARGIN) : frame + _MARGIN + 1] = True
+        for frame, reach in self._fading:
+            margin = _MARGIN + round(_LATE * reach)
+            broken[max(0, frame - margin) : frame + margin + 1] = True
+        whole = np.flatnonzero(broken)
+        for a, b in zip(whole, whole[1:], strict=False):
+            broken[a:b] |= b - a <= _BETWEEN
         edges = np.flatnonzero(np.diff(broken)) + 1
         bounds = sorted({0, self._count, *edges.tolist(), *self.cuts()})
         return [

@@ -214,13 +214,14 @@ def presence(tracks: Sequence[Track], first: int, stop: int) -> np.ndarray:
 
 
 def jumps(faces: Sequence[tuple[int, Face]]) -> bool:
-    """Whether a face jumps between two looks in succession, and stays there for another.
+    """Whether a face jumps between two looks in succession; one false hit is no jump.
 
     Args:
         faces: frames and faces of one person in order of time.
     """
-    for (at, before), (frame, face), (_, after) in zip(faces, faces[1:], faces[2:], strict=False):
-        way = min(_apart(before, face), _apart(before, after))
-        if frame - at <= 2 * NEAR_STEP and way > _JUMP:
-            return True
-    return False
+    triples = zip(faces, faces[1:], faces[2:], strict=False)
+    smooth = [(b[0], median_face([a[1], b[1], c[1]])) for a, b, c in triples]
+    return any(
+        later - earlier <= 2 * NEAR_STEP and _apart(before, after) > _JUMP
+        for (earlier, before), (later, after) in zip(smooth, smooth[1:], strict=False)
+    )
