@@ -18,7 +18,14 @@ from data_prep.photo import read_photo
 from data_prep.progress import progress
 from data_prep.rates import FPS, IMAGE_SIZE, SAMPLE_RATE, frames_covering
 from data_prep.sound import read_sound
-from data_prep.speaker import Crop, check_crop, cut_out, find_faces, speaker_crop
+from data_prep.speaker import (
+    Crop,
+    check_crop,
+    choose_person,
+    cut_out,
+    find_people,
+    speaker_crop,
+)
 from data_prep.video import VideoWriter
 from mraa.affine import renderable
 from mraa.modes import hull_scale
@@ -44,20 +51,27 @@ class Result:
     """Square of the photo that was animated, in pixels of the upright photo."""
 
 
-def photo_crop(path: Path, photo: np.ndarray) -> Crop:
+def photo_crop(path: Path, photo: np.ndarray, person: str | None = None) -> Crop:
     """The square around the speaker's upper body, by the rule of the training data.
 
     Args:
         path: named in the message.
         photo: (H, W, 3) uint8 RGB.
+        person: "left", "right" or "largest" of several people; None refuses them.
 
     Raises:
-        BadInput: no face is found.
+        BadInput: no face is found, or several people and none is chosen.
     """
-    faces = find_faces(photo)
-    if not faces:
+    people = find_people(photo)
+    if not people:
         raise BadInput(f"{path}: no face found; give the square yourself with --crop x,y,size")
-    return speaker_crop(faces[0], *photo.shape[:2])
+    if len(people) > 1 and person is None:
+        raise BadInput(
+            f"{path}: shows {len(people)} people; choose with --person left, right or largest, "
+            "or give the square yourself with --crop x,y,size"
+        )
+    face = people[choose_person(people, person or "largest")]
+    return speaker_crop(face, *photo.shape[:2])
 
 
 def animate(
@@ -69,6 +83,7 @@ def animate(
     seed: int = 0,
     device: str = "cpu",
     crop: Crop | None = None,
+    person: str | None = None,
     scale_motion: str = "none",
     greedy: bool = False,
     force: bool = False,
@@ -83,6 +98,8 @@ def animate(
         seed: of the gestures; the same seed gives the same video.
         device: torch device.
         crop: square of the photo to animate, in pixels; None finds it by the face.
+        person: "left", "right" or "largest" where the photo shows several people; None
+            refuses such photos.
         scale_motion: "hull" scales the gestures by the size of the person (spanned by the
             regions) against the training speakers', "none" does not.
         greedy: always the likeliest gesture; every seed then gives the same video.
@@ -96,7 +113,7 @@ def animate(
         photo = read_photo(photo_path)
         samples = read_sound(sound_path)
         if crop is None:
-            crop = photo_crop(photo_path, photo)
+            crop = photo_crop(photo_path, photo, person)
         check_crop(crop, *photo.shape[:2])
         renderer = bundle.renderer().to(device)
         generator = bundle.generator()

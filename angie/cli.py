@@ -42,6 +42,9 @@ def animate(
     crop: Annotated[
         str | None, typer.Option(help="Square of the photo: x,y,size in pixels.")
     ] = None,
+    person: Annotated[
+        str | None, typer.Option(help="Of several people: left, right or largest.")
+    ] = None,
     scale_motion: Annotated[
         str, typer.Option(help="none, or hull: scale gestures to the person's size.")
     ] = "none",
@@ -71,6 +74,7 @@ def animate(
         seed=seed,
         device=_device(device),
         crop=square,
+        person=person,
         scale_motion=scale_motion,
         greedy=greedy,
         force=force,

@@ -12,6 +12,8 @@ from data_prep.features import speech_features
 from data_prep.frame_store import encode_frame, write_frames
 from data_prep.rates import FPS, IMAGE_SIZE, SAMPLE_RATE, SAMPLES_PER_FRAME
 from data_prep.sound import write_wav
+from data_prep.spans import TOO_SHORT, Take
+from data_prep.tracking import jumps
 from data_prep.video_writer import VideoWriter
 from data_prep.words import Word, slice_words, write_words
 
@@ -27,6 +29,9 @@ MAX_JUMP = 30.0
 """Mean grey level difference of two frames that only a cut or a flash makes."""
 
 _SMALL = 64
+
+_INSIDE = 0.9
+"""Part of the sightings in which the whole face must be in the crop."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +57,8 @@ def piece_of_sound(samples: np.ndarray, first: int, count: int) -> np.ndarray:
     return np.pad(part, (0, count * SAMPLES_PER_FRAME - len(part)))
 
 
-def fault(piece: Piece) -> str | None:
-    """Why a clip must be dropped, or None."""
-    if len(piece.frames) < MIN_FRAMES:
-        return f"shorter than {MIN_FRAMES} frames"
+def _changes(frames: list[np.ndarray]) -> np.ndarray:
+    """Mean grey level, of 255, by which each frame differs from the one before."""
     small = np.stack(
         [
             cv2.resize(
@@ -63,15 +66,45 @@ def fault(piece: Piece) -> str | None:
                 (_SMALL, _SMALL),
                 interpolation=cv2.INTER_AREA,
             )
-            for frame in piece.frames
+            for frame in frames
         ]
     ).astype(np.float32)
-    change = np.abs(np.diff(small, axis=0)).mean(axis=(1, 2))
+    return np.asarray(np.abs(np.diff(small, axis=0)).mean(axis=(1, 2)))
+
+
+def motion(frames: list[np.ndarray]) -> float:
+    """Mean grey level, of 255, by which neighbouring frames `(256, 256, 3)` uint8 differ."""
+    return float(_changes(frames).mean())
+
+
+def fault(piece: Piece) -> str | None:
+    """Why a clip must be dropped by its pictures, or None."""
+    if len(piece.frames) < MIN_FRAMES:
+        return TOO_SHORT
+    change = _changes(piece.frames)
     if change.mean() < MIN_MOTION:
         return "without motion"
     if change.max() > MAX_JUMP:
         return "a cut or flash inside"
     return None
+
+
+def tracking_fault(take: Take, first: int, stop: int) -> str | None:
+    """Why frames `[first, stop)` of a take must be dropped by where the face is, or None."""
+    faces = [(frame, face) for frame, face in take.faces if first <= frame < stop]
+    crop = take.span.crop
+    if crop is None or not faces:
+        return None
+    if jumps(faces):
+        return "a tracking jump inside"
+    inside = [
+        crop.x <= face.centre_x - face.w / 2
+        and face.centre_x + face.w / 2 <= crop.x + crop.size
+        and crop.y <= face.centre_y
+        and face.centre_y + face.h / 2 <= crop.y + crop.size
+        for _, face in faces
+    ]
+    return None if sum(inside) >= _INSIDE * len(inside) else "speaker leaves the crop"
 
 
 def write_clip(folder: Path, piece: Piece, words: list[Word] | None) -> None:

@@ -31,25 +31,32 @@ def loudness(samples: np.ndarray, frames: int) -> np.ndarray:
     return np.maximum(10 * np.log10(np.maximum(smooth, 1e-12)), _FLOOR_DB)
 
 
-def clip_bounds(samples: np.ndarray, frames: int) -> list[tuple[int, int]]:
-    """Cut a video into clips that cover it without a gap.
+def clip_bounds(
+    samples: np.ndarray, frames: int, shortest: int = SHORTEST, longest: int = LONGEST
+) -> list[tuple[int, int]]:
+    """Cut a part of a video into clips that cover it without a gap.
 
     Each cut is where loudness, and distance from the usual length, are least.
 
     Args:
         samples: `(N,)` mono sound at 16 kHz from the first frame on.
-        frames: of the video, at 25 a second.
+        frames: of the part, at 25 a second.
+        shortest: frames of the shortest clip.
+        longest: frames of the longest clip; at least twice the shortest, or else the last may
+            be shorter than that.
 
     Returns:
-        first and one past the last frame of each clip. All have `SHORTEST` to `LONGEST`
-        frames, unless the video itself is shorter.
+        first and one past the last frame of each clip. All have `shortest` to `longest`
+        frames, unless the part itself is shorter.
     """
     level = loudness(samples, frames)
+    usual = min(max(USUAL, shortest), longest)
     bounds: list[tuple[int, int]] = []
     start = 0
-    while frames - start > LONGEST:
-        lengths = np.arange(SHORTEST, min(LONGEST, frames - start - SHORTEST) + 1)
-        cost = level[start + lengths] / 10 + ((lengths - USUAL) / SHORTEST) ** 2
+    while frames - start > longest:
+        most = max(min(longest, frames - start - shortest), shortest)
+        lengths = np.arange(shortest, most + 1)
+        cost = level[start + lengths] / 10 + ((lengths - usual) / SHORTEST) ** 2
         stop = start + int(lengths[np.argmin(cost)])
         bounds.append((start, stop))
         start = stop

@@ -2,12 +2,14 @@
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from data_prep.clip_files import Piece, fault, piece_of_sound, write_clip
+from data_prep.analysis import Analysis, analyse
+from data_prep.clip_files import Piece, fault, motion, piece_of_sound, tracking_fault, write_clip
 from data_prep.container import check_file
 from data_prep.cutting import MIN_FRAMES, clip_bounds
 from data_prep.dataset import Clip
@@ -16,23 +18,42 @@ from data_prep.outcome import ClipDetail, IngestionConfig, Outcome, Span
 from data_prep.rates import FPS, SAMPLE_RATE, SAMPLES_PER_FRAME, frames_covering
 from data_prep.sound import read_sound
 from data_prep.source import Source, sha256
-from data_prep.speaker import Crop, Face, check_crop, cut_out, speaker_crop
-from data_prep.tracking import speaker_face
-from data_prep.video import probe, read_frames
+from data_prep.spans import NO_PERSON, TWO_PEOPLE, Take, find_takes
+from data_prep.speaker import Crop, cut_out
+from data_prep.video import VideoInfo, probe, read_frames
 from data_prep.words import Word
+
+SOUND_OVER = "after the end of the sound"
+
+_REMEDIES = {
+    TWO_PEOPLE: "choose with --person left, right or largest, or give --crop x,y,size",
+    NO_PERSON: "where there is one, give --crop x,y,size",
+}
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """A clip to be cut: its frames, and the take (with its number) that they belong to."""
+
+    first: int
+    stop: int
+    number: int
+    take: Take
 
 
 def ingest(
-    source: Source, folder: Path, config: IngestionConfig, words: list[Word] | None
+    source: Source, folder: Path, config: IngestionConfig, words: list[Word] | None = None
 ) -> Outcome:
     """Cut a video into clips and write their files into a dataset folder.
 
-    Whatever is wrong with the video is told in the outcome; nothing is raised for it.
+    The video is decoded twice: small and grey to find shots, camera motion, people and black
+    bars; then to cut the clips. The frames of one clip are held at a time. Whatever is wrong
+    with the video is told in the outcome; nothing is raised for it.
 
     Args:
         source: the video; where it names intervals, only these are cut.
         folder: the dataset; the folders for the clips' files exist.
-        config: how clips are made.
+        config: what to keep and how.
         words: of the whole video, with times as the file counts them; None when unknown.
     """
     outcome = Outcome(source)
@@ -43,7 +64,7 @@ def ingest(
     except (BadInput, cv2.error) as error:
         outcome.refused = str(error).removeprefix(f"{source.path}: ")
     if not outcome.clips and outcome.refused is None:
-        outcome.refused = f"no clip kept ({', '.join(outcome.dropped)})"
+        outcome.refused = _why_nothing(outcome)
     return outcome
 
 
@@ -52,62 +73,107 @@ def _ingest(
 ) -> None:
     source = outcome.source
     info = outcome.info = probe(source.path)
-    if not info.has_sound:
-        raise BadInput("has no sound")
-    samples = read_sound(source.path, SAMPLE_RATE, origin=info.start)
-    expected = min(round(info.duration * FPS), frames_covering(len(samples)))
-    if expected < MIN_FRAMES:
-        raise BadInput(f"shorter than {MIN_FRAMES} frames ({expected})")
-    crop, face = config.crop, None
-    if crop is None:
-        face = speaker_face(source.path, info)
-        crop = speaker_crop(face, info.height, info.width)
-    check_crop(crop, info.height, info.width)
-    outcome.spans.append(Span(0, expected, None, crop, face))
+    if not info.has_sound and not config.silent_ok:
+        raise BadInput("has no sound; --silent-ok keeps it for training the renderer")
+    analysis = analyse(source.path, info)
+    samples = _sound(source, info, analysis)
+    frames = min(analysis.frames, frames_covering(len(samples)))
+    if frames < MIN_FRAMES:
+        raise BadInput(f"shorter than {MIN_FRAMES} frames ({frames})")
+    takes = find_takes(analysis, info, config, frames)
+    outcome.spans = [take.span for take in takes]
+    if frames < analysis.frames:
+        outcome.spans.append(Span(frames, analysis.frames, SOUND_OVER))
+    for span in outcome.spans:
+        if span.reason is not None:
+            outcome.dropped[span.reason] += (span.stop - span.first) / FPS  # type: ignore[assignment]
     if words is not None:
         words = [Word(w.word, w.start - info.start, w.end - info.start) for w in words]
-    for piece in _pieces(source, samples, _bounds(source, samples, expected, info.start), crop):
-        reason = fault(piece)
+    parts = _intervals(source, info.start) or [(0, frames)]
+    plans = list(_plans(takes, parts, samples, config))
+    for plan, piece in _pieces(source, samples, plans, analysis):
+        reason = fault(piece) or tracking_fault(plan.take, plan.first, plan.stop)
         if reason is not None:
-            outcome.dropped[reason] += round(len(piece.frames) / FPS, 2)  # type: ignore[assignment]
+            outcome.dropped[reason] += len(piece.frames) / FPS  # type: ignore[assignment]
             continue
         write_clip(folder, piece, words)
-        start = piece.first / FPS
-        clip = Clip(piece.id, source.speaker, "", source.name, start, len(piece.frames))
+        clip = Clip(piece.id, source.speaker, "", source.name, piece.first / FPS, len(piece.frames))
+        face = plan.take.span.face
+        height = 0.0 if face is None else face.h
         outcome.clips.append(clip)
-        outcome.details[piece.id] = _detail(piece, face)
+        outcome.details[clip.id] = ClipDetail(plan.number, height, motion(piece.frames))
 
 
-def _detail(piece: Piece, face: Face | None) -> ClipDetail:
-    grey = [cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY).astype(np.int16) for frame in piece.frames]
-    motion = float(np.mean([np.abs(a - b).mean() for a, b in itertools.pairwise(grey)]))
-    return ClipDetail(0, 0.0 if face is None else face.h, motion)
+def _sound(source: Source, info: VideoInfo, analysis: Analysis) -> np.ndarray:
+    if not info.has_sound:
+        return np.zeros(analysis.frames * SAMPLES_PER_FRAME, np.float32)
+    return read_sound(source.path, SAMPLE_RATE, origin=info.start)
 
 
-def _bounds(
-    source: Source, samples: np.ndarray, frames: int, origin: float
-) -> list[tuple[int, int]]:
-    if not source.intervals:
-        return clip_bounds(samples, frames)
-    bounds, last = [], 0
+def _intervals(source: Source, origin: float) -> list[tuple[int, int]]:
+    """First and one past the last frame of each interval of a source; none overlap."""
+    parts: list[tuple[int, int]] = []
+    last = 0
     for _, start, end in sorted(source.intervals, key=lambda interval: interval[1:]):
         first = max(round((start - origin) * FPS), last)
-        last = max(min(round((end - origin) * FPS), frames), last)
-        if last - first >= MIN_FRAMES:
-            part = samples[first * SAMPLES_PER_FRAME : last * SAMPLES_PER_FRAME]
-            bounds += [(first + a, first + b) for a, b in clip_bounds(part, last - first)]
-    return bounds
+        last = max(round((end - origin) * FPS), first)
+        parts.append((first, last))
+    return parts
+
+
+def _plans(
+    takes: list[Take], parts: list[tuple[int, int]], samples: np.ndarray, config: IngestionConfig
+) -> Iterator[_Plan]:
+    """Clips within the takes that are used, and within the parts of the video that are asked for."""
+    shortest = max(round(config.shortest * FPS), MIN_FRAMES)
+    longest = max(round(config.longest * FPS), shortest)
+    for number, take in enumerate(takes):
+        if take.span.reason is not None:
+            continue
+        for low, high in parts:
+            first, stop = max(take.span.first, low), min(take.span.stop, high)
+            if stop - first < MIN_FRAMES:
+                continue
+            sound = samples[first * SAMPLES_PER_FRAME : stop * SAMPLES_PER_FRAME]
+            for a, b in clip_bounds(sound, stop - first, shortest, longest):
+                yield _Plan(first + a, first + b, number, take)
 
 
 def _pieces(
-    source: Source, samples: np.ndarray, bounds: list[tuple[int, int]], crop: Crop
-) -> Iterator[Piece]:
+    source: Source, samples: np.ndarray, plans: list[_Plan], analysis: Analysis
+) -> Iterator[tuple[_Plan, Piece]]:
     """The clips one after another; the frames of one are held at a time."""
-    frames = read_frames(source.path, FPS)
-    at = 0
-    for number, (first, stop) in enumerate(bounds):
-        cut = [cut_out(frame, crop) for frame in itertools.islice(frames, first - at, stop - at)]
-        at = stop
-        if cut:
-            sound = piece_of_sound(samples, first, len(cut))
-            yield Piece(f"{source.name}_{number:03d}", first, cut, sound)
+    if not plans:
+        return
+    frames = read_frames(source.path, FPS, [(plan.first, plan.stop) for plan in plans])
+    for number, plan in enumerate(plans):
+        cut = [
+            _cut(frame, plan.take, analysis, plan.first + k)
+            for k, frame in enumerate(itertools.islice(frames, plan.stop - plan.first))
+        ]
+        sound = piece_of_sound(samples, plan.first, len(cut))
+        yield plan, Piece(f"{source.name}_{number:03d}", plan.first, cut, sound)
+
+
+def _cut(frame: np.ndarray, take: Take, analysis: Analysis, number: int) -> np.ndarray:
+    crop, view = take.span.crop, take.view
+    assert crop is not None
+    inner = view.of(frame)
+    if take.reference is not None:
+        matrix = analysis.camera.between(number, take.reference)
+        shift = np.array([[1.0, 0, view.left], [0, 1, view.top], [0, 0, 1]])
+        inner = cv2.warpAffine(
+            inner,
+            (np.linalg.inv(shift) @ matrix @ shift)[:2],
+            (view.width, view.height),
+            flags=cv2.INTER_CUBIC,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+    return cut_out(inner, Crop(crop.x - view.left, crop.y - view.top, crop.size))
+
+
+def _why_nothing(outcome: Outcome) -> str:
+    parts = [f"{reason} ({seconds:.1f} s)" for reason, seconds in outcome.dropped.most_common()]
+    why = ", ".join(parts) or "no clip kept"
+    remedy = next((_REMEDIES[r] for r, _ in outcome.dropped.most_common(1) if r in _REMEDIES), "")
+    return f"{why}; {remedy}" if remedy else why

@@ -16,6 +16,7 @@ from av.container import InputContainer
 from data_prep.container import describe, open_media
 from data_prep.errors import BadInput
 from data_prep.rates import SAMPLE_RATE
+from data_prep.sound_track import sound_track
 
 MAX_GAP = 0.05
 """Seconds by which timestamps may wander before silence is put in or samples are taken out."""
@@ -177,7 +178,7 @@ def _with_layout(frame: AudioFrame) -> AudioFrame:
 
 @contextmanager
 def open_recording(path: Path) -> Iterator[Recording]:
-    """Open the first sound track of a recording or video.
+    """Open the sound of a recording or video; `sound_track` tells which of several tracks.
 
     Raises:
         BadInput: missing, a folder, 0 bytes, not media, without sound, or damaged.
@@ -186,7 +187,7 @@ def open_recording(path: Path) -> Iterator[Recording]:
     with open_media(path) as container:
         if not container.streams.audio:
             raise BadInput(f"{path}: has no sound; give a recording with speech")
-        stream = container.streams.audio[0]
+        stream = container.streams.audio[sound_track(path)]
         if stream.codec_context is None:
             raise BadInput(f"{path}: its sound is in a format that cannot be decoded; convert it")
         yield Recording(path, container, stream)
