@@ -124,7 +124,7 @@ def _intervals(source: Source, origin: float) -> list[tuple[int, int]]:
 def _plans(
     takes: list[Take], parts: list[tuple[int, int]], samples: np.ndarray, config: IngestionConfig
 ) -> Iterator[_Plan]:
-    """Clips within the takes that are used, and within the parts of the video that are asked for."""
+    """Clips within the takes that are used and the parts of the video that are asked for."""
     shortest = max(round(config.shortest * FPS), MIN_FRAMES)
     longest = max(round(config.longest * FPS), shortest)
     for number, take in enumerate(takes):

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from data_prep.clip_files import FOLDERS
-from data_prep.errors import BadInput
 from data_prep.frame_store import FrameStore
-from data_prep.ingestion import ingest, words_beside
+from data_prep.ingestion import ingest
 from data_prep.outcome import IngestionConfig, Outcome
 from data_prep.source import Source
 from data_prep.speaker import Crop
@@ -166,17 +165,6 @@ def test_nobody_is_told_with_a_remedy(tmp_path: Path) -> None:
     assert outcome.refused is not None
     assert outcome.refused.startswith("no person (4.2 s); ") and "--crop" in outcome.refused
     assert [span.reason for span in outcome.spans] == ["no person"]
-
-
-def test_words_beside_are_timed_from_the_first_frame(tmp_path: Path) -> None:
-    assert words_beside(tmp_path / "a.mp4", 0.5) is None
-    (tmp_path / "a.words.json").write_text('[{"word": "hi", "start": 1.5, "end": 2}]')
-    assert words_beside(tmp_path / "a.mp4", 0.5) == [Word("hi", 1.0, 1.5)]
-    (tmp_path / "a.words.json").write_text("{}")
-    assert words_beside(tmp_path / "a.mp4", 0.5) == []
-    (tmp_path / "a.words.json").write_text("no list")
-    with pytest.raises(BadInput, match="no list"):
-        words_beside(tmp_path / "a.mp4", 0.5)
 
 
 @pytest.mark.slow
