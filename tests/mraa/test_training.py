@@ -68,8 +68,8 @@ def test_painting_costs_what_the_occlusion_hides():
         regions, moved = renderer.estimator(source), renderer.estimator(driving)
         flow = renderer.flow(source, regions, moved, renderer.background(source, driving))
     assert 0 < float(terms["painted"]) < 3
-    torch.testing.assert_close(terms["painted"], 3 * (1 - flow.occlusion).mean())
-    torch.testing.assert_close(terms["blend"], flow.blend)
+    torch.testing.assert_close(terms["painted"], 3 * (1 - flow.occlusion).mean(), atol=1e-4, rtol=0)
+    torch.testing.assert_close(terms["blend"], flow.blend, atol=1e-3, rtol=0)
 
 
 def test_pairs_are_frames_of_one_clip_in_order(dataset):
