@@ -18,6 +18,9 @@ _EDGE = 0.4
 _MOST = 0.4
 """Part of the picture's height or width that one bar has at most."""
 
+_STEP = 5
+"""Frames of which one is looked at; bars are there in all of them."""
+
 _SECTION = 750
 """Frames after which bars are looked for anew."""
 
@@ -70,7 +73,7 @@ class BarDetector:
     def __init__(self) -> None:
         self._brightest: np.ndarray | None = None
         self._sections: list[_Section] = []
-        self._first = self._count = 0
+        self._first = self._count = self._next = 0
 
     def add(self, grey: np.ndarray, frames: int = 1, cut: bool = False) -> None:
         """Look at the next picture.
@@ -82,12 +85,14 @@ class BarDetector:
         """
         if cut or self._count - self._first >= _SECTION:
             self._finish()
-        scale = min(1.0, _SIDE / max(grey.shape))
-        small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        if self._brightest is None:
-            self._brightest = small
-        else:
-            np.maximum(self._brightest, small, out=self._brightest)
+        if cut or self._count >= self._next:
+            self._next = self._count + _STEP
+            scale = min(1.0, _SIDE / max(grey.shape))
+            small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+            if self._brightest is None:
+                self._brightest = small
+            else:
+                np.maximum(self._brightest, small, out=self._brightest)
         self._count += frames
 
     def _finish(self) -> None:

@@ -48,7 +48,8 @@ _HELD = 3
 SHORT_WINDOW, SHORT_WAY = 25, 0.012
 """Frames, and the way in long sides that a still camera may stray within so many."""
 
-LONG_WINDOW, LONG_WAY = 250, 0.02
+LONG_WINDOW, LONG_WAY, SLOWEST = 250, 0.02, 0.003
+"""The same over ten seconds, for frames in whose short window it strays by `SLOWEST` at least."""
 
 FURTHEST = 0.3
 """Way in long sides beyond which a moving camera is not undone."""
@@ -249,9 +250,9 @@ class CameraPath:
         steady = ways.copy()
         if len(ways) > 2:
             steady[1:-1] = np.median([ways[:-2], ways[1:-1], ways[2:]], axis=0)
-        moves = np.zeros(stop - first, bool)
-        for window, limit in ((SHORT_WINDOW, SHORT_WAY), (LONG_WINDOW, LONG_WAY)):
-            moves |= _range_within(steady, window) > limit
+        short = _range_within(steady, SHORT_WINDOW)
+        slow = (_range_within(steady, LONG_WINDOW) > LONG_WAY) & (short > SLOWEST)
+        moves = (short > SHORT_WAY) | slow
         for frame in self.breaks:
             if first < frame < stop:
                 moves[max(0, frame - first - SHORT_WINDOW // 2) : frame - first + 1] = True

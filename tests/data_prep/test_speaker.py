@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ from data_prep.speaker import (
     Face,
     cut_out,
     find_faces,
+    find_people,
     median_face,
     speaker_crop,
 )
@@ -42,6 +44,14 @@ def test_largest_face_comes_first(person: Draw) -> None:
     faces = find_faces(both)
     assert len(faces) == 2
     assert faces[0].h > faces[1].h and faces[0].centre_x > 240
+
+
+def test_everybody_who_counts_is_found(person: Draw) -> None:
+    both = np.hstack([person(width=240, x=120, scale=0.6), person(width=240, x=120, scale=0.9)])
+    small = np.hstack([person(width=240, x=120, scale=1.0), person(width=240, x=120, scale=0.35)])
+    assert [len(find_people(image)) for image in (person(), both, small)] == [1, 2, 1]
+    grey = cv2.cvtColor(both, cv2.COLOR_RGB2GRAY)
+    assert find_people(grey) == find_people(both)
 
 
 def test_no_face_is_found_in_noise_or_flat_colour() -> None:
@@ -120,3 +130,14 @@ def test_real_faces(name: str, centre: tuple[float, float], height: float) -> No
 @pytest.mark.parametrize("name", ["landscape_no_person.jpg", "skimage_coffee.png"])
 def test_no_face_in_pictures_without_people(name: str) -> None:
     assert find_faces(read_photo(SHARED / name)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the real photos are not here")
+@pytest.mark.parametrize(
+    ("name", "least"),
+    [("group_solvay1927.jpg", 20), ("two_people.jpg", 2), ("pats_003.png", 1)],
+)
+def test_people_in_real_photos(name: str, least: int) -> None:
+    found = find_people(read_photo(SHARED / name))
+    assert len(found) >= least and (least > 2 or len(found) == least)
