@@ -4,6 +4,7 @@ import json
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -17,7 +18,7 @@ from data_prep.phantom.gesture import Stroke, schedule
 from data_prep.phantom.motion import course
 from data_prep.phantom.presenters import Presenter, Setting, presenter, setting
 from data_prep.phantom.script import script
-from data_prep.phantom.skeleton import JOINTS
+from data_prep.phantom.skeleton import JOINTS, Course, Joints, joints
 from data_prep.phantom.speech import Speech, speak
 from data_prep.progress import progress
 from data_prep.rates import FPS
@@ -38,7 +39,18 @@ class Take:
     place: Setting
     speech: Speech
     strokes: list[Stroke]
-    figure: Figure
+    path: Course
+    key: tuple[int, ...]  # seeds what is drawn at random
+
+    @cached_property
+    def joints(self) -> Joints:
+        """Where the joints are in every frame."""
+        return joints(self.path, self.who.look, self.place, WIDTH)
+
+    @cached_property
+    def figure(self) -> Figure:
+        """What draws it; textures are made at the first use."""
+        return Figure(self.who, self.place, self.path, list(self.key))
 
 
 def take(index: int, number: int, *, seconds: float = _LENGTH, seed: int = 0) -> Take:
@@ -57,7 +69,7 @@ def take(index: int, number: int, *, seconds: float = _LENGTH, seed: int = 0) ->
     speech = speak(phrases, who.voice, np.random.default_rng([*key, 3]))
     strokes = schedule(speech, who.style, np.random.default_rng([*key, 4]))
     path = course(speech, strokes, who.style, np.random.default_rng([*key, 5]))
-    return Take(who, place, speech, strokes, Figure(who, place, path, [*key, 6]))
+    return Take(who, place, speech, strokes, path, (*key, 6))
 
 
 def still(index: int, *, number: int = 0, seed: int = 0) -> NDArray[np.uint8]:
@@ -98,7 +110,7 @@ def truth(shot: Take, seed: int) -> dict[str, NDArray]:
     strokes = shot.strokes
     hand = ["both" if len(s.hands) == 2 else ("right", "left")[s.hands[0]] for s in strokes]
     return {
-        "joints": shot.figure.joints.points,
+        "joints": shot.joints.points,
         "joint_names": np.array(JOINTS),
         "stroke_label": np.array([s.label for s in strokes], dtype="U16"),
         "stroke_hand": np.array(hand, dtype="U5"),
@@ -149,7 +161,7 @@ def _write(order: _Order) -> str:
             threads=1,
         ) as video,
     ):
-        for t in range(shot.figure.joints.frames):
+        for t in range(shot.joints.frames):
             video.write(shot.figure.frame(t))
     return order.path
 
