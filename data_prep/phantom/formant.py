@@ -87,15 +87,15 @@ def synthesise(controls: Controls, voice: Voice, rng: np.random.Generator) -> ND
     """Speech (C * RATE / CONTROL,) float32, not yet scaled.
 
     The glottal flow's derivative is the polynomial 2x - 3x^2 over the open phase (KLGLOTT88,
-    Klatt and Klatt 1990), with jitter and shimmer of about one per cent.
+    Klatt and Klatt 1990), with jitter and shimmer of one and three per cent
+    times the voice's roughness.
     """
     count = len(controls.pitch) * _BLOCK
-    jitter = 1 + 0.012 * gaussian_filter1d(rng.standard_normal(count), RATE / 150) * np.sqrt(
-        2 * np.sqrt(np.pi) * RATE / 150
-    )
+    unsteady = gaussian_filter1d(rng.standard_normal(count), RATE / 150)
+    jitter = 1 + 0.012 * voice.rough * np.sqrt(2 * np.sqrt(np.pi) * RATE / 150) * unsteady
     cycle = np.cumsum(_upsampled(controls.pitch) * jitter / RATE)
     phase = np.mod(cycle, 1)
-    shimmer = 1 + 0.03 * rng.standard_normal(int(cycle[-1]) + 2)[cycle.astype(int)]
+    shimmer = 1 + 0.03 * voice.rough * rng.standard_normal(int(cycle[-1]) + 2)[cycle.astype(int)]
     quotient = 0.55 + 0.25 * (1 - voice.effort)
     x = np.minimum(phase / quotient, 1)
     flow = (2 * x - 3 * x * x) * (x < 1) * shimmer

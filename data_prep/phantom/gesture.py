@@ -64,7 +64,7 @@ TEMPLATES: dict[str, Template] = {
     "frame": Template((92, 66, 85), (50, 92, 115), "flat", (-80, -98), 0.2, 0.95, 2),
     "roll": Template((52, 74, 95), (50, 114, 108), "cup", (-140, -130), 0.4, 0.9, 2,
                      bulge=(44, 0, 25)),
-    "think": Template((84, 84, 75), (74, -32, 40), "point", (-100, -128), 0.7, 1.0),
+    "think": Template((84, 84, 75), (88, -26, 40), "point", (-100, -116), 0.7, 1.0),
     "here": Template((58, 72, 95), (54, 142, 105), "point", (-120, -250), 0.7, 0.95),
 }  # fmt: skip
 """Strokes by label."""

@@ -12,17 +12,18 @@ from data_prep.phantom.lexicon import LEXICON
 from data_prep.phantom.phones import Segment, segments
 from data_prep.phantom.presenters import Voice
 from data_prep.phantom.script import Phrase
+from data_prep.rates import FPS
 
 _PACE = 0.76
 """Speed of a voice of rate 1 over that of the phones' own durations."""
 
-_ROOM = 0.0004
+ROOM = 0.0004
 """Level of the room's noise."""
 
 _APART = 0.18
 """Seconds between syllables that movement can keep up with."""
 
-_LEAD = 0.6
+LEAD = 0.6
 """Seconds of silence before the first word."""
 
 
@@ -101,7 +102,7 @@ def _timed(
 
     Slow speech lengthens its vowels more than its consonants.
     """
-    now, words, track = _LEAD, [], []
+    now, words, track = LEAD, [], []
     for number, phrase in enumerate(phrases):
         speed = _PACE * voice.rate * phrase.tempo
         for word, parts in zip(phrase.words, _phrase_segments(phrase), strict=True):
@@ -168,6 +169,11 @@ def _tracks(track: list[tuple[float, float, Segment]], count: int) -> dict[str, 
     }
 
 
+def whole_frames(duration: float) -> int:
+    """Video frames that cover a duration in seconds."""
+    return int(np.ceil(duration * FPS))
+
+
 def speak(phrases: list[Phrase], voice: Voice, rng: np.random.Generator) -> Speech:
     """Say the phrases with a voice.
 
@@ -180,8 +186,7 @@ def speak(phrases: list[Phrase], voice: Voice, rng: np.random.Generator) -> Spee
         Speech at `formant.RATE`, a whole number of video frames long, peak at 0.8.
     """
     words, track, duration = _timed(phrases, voice)
-    frames = int(np.ceil(duration * 25))
-    count = frames * CONTROL // 25
+    count = whole_frames(duration) * CONTROL // FPS
     at = (np.arange(count) + 0.5) / CONTROL
     tracks = _tracks(track, count)
     controls = Controls(
@@ -195,6 +200,6 @@ def speak(phrases: list[Phrase], voice: Voice, rng: np.random.Generator) -> Spee
     )
     samples = synthesise(controls, voice, rng)
     samples *= 0.8 / max(float(np.abs(samples).max()), 1e-6)
-    samples += _ROOM * rng.standard_normal(len(samples)).astype(np.float32)
+    samples += ROOM * rng.standard_normal(len(samples)).astype(np.float32)
     opening, spread = tracks["open"], tracks["spread"]
     return Speech(samples, RATE, words, opening.astype(np.float32), spread.astype(np.float32))

@@ -12,7 +12,7 @@ from data_prep.errors import BadInput
 from data_prep.phantom.consistency import stroke_start
 from data_prep.phantom.figure import HEIGHT, WIDTH
 from data_prep.phantom.gesture import REST, TEMPLATES, schedule
-from data_prep.phantom.make import Take, make_phantom, still, take, truth
+from data_prep.phantom.make import Take, make_phantom, still, take, truth, voice_named
 from data_prep.phantom.motion import minimum_jerk
 from data_prep.phantom.presenters import presenter
 from data_prep.phantom.script import TRIGGERS
@@ -216,6 +216,24 @@ def test_truth_orders_the_moments_of_a_stroke(shots: list[Take]) -> None:
     for before, after in zip(moments[:-1], moments[1:], strict=True):
         assert np.all(before < after)
     assert np.all(moments[0][1:] >= moments[3][:-1] - 1e-9)
+
+
+@pytest.mark.slow
+def test_same_seed_same_files_other_seed_others(tmp_path: Path) -> None:
+    def contents(folder: str, seed: int) -> dict[str, bytes]:
+        videos = make_phantom(tmp_path / folder, minutes=0.015, seed=seed, presenters=1)
+        return {path.name: path.read_bytes() for path in videos[0].parent.iterdir()}
+
+    first, again, other = contents("a", 1), contents("b", 1), contents("c", 2)
+    assert len(first) == 3 and first == again
+    assert all(first[name] != other[name] for name in first)
+
+
+def test_an_unknown_voice_is_refused() -> None:
+    assert voice_named("builtin") == "builtin"
+    assert voice_named("auto") in ("builtin", "espeak")
+    with pytest.raises(BadInput, match="auto, builtin, espeak"):
+        voice_named("tenor")
 
 
 def test_bad_numbers_are_refused(tmp_path: Path) -> None:
