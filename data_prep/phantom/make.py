@@ -128,7 +128,8 @@ def truth(shot: Take, seed: int) -> dict[str, NDArray]:
     `joints` (T, J, 2) float32 pixels (x, y) with `joint_names` (J,); `stroke_label`,
     `stroke_hand` ("right", "left", "both"), `stroke_word` (index of the word), `stroke_called`
     (whether the word calls for it) and `stroke_onset`, `stroke_prepared`, `stroke_apex`,
-    `stroke_end` in seconds, (n,) each; `beats` (m,) onsets of stressed vowels in seconds; `fps`,
+    `stroke_end` in seconds, (n,) each; `beats` (m,) onsets of stressed vowels in seconds;
+    `style_amplitude`, `style_right_hand`, `style_tempo` as in `presenters.Style`; `fps`,
     `seed`, `presenter`, `voice` ("builtin" or "espeak").
     """
     strokes = shot.strokes
@@ -145,6 +146,9 @@ def truth(shot: Take, seed: int) -> dict[str, NDArray]:
         "stroke_apex": np.array([s.apex for s in strokes], np.float64),
         "stroke_end": np.array([s.end for s in strokes], np.float64),
         "beats": shot.speech.beats.astype(np.float64),
+        "style_amplitude": np.array(shot.who.style.amplitude),
+        "style_right_hand": np.array(shot.who.style.right_hand),
+        "style_tempo": np.array(shot.who.style.tempo),
         "fps": np.array(FPS),
         "seed": np.array(seed),
         "presenter": np.array(shot.who.name),

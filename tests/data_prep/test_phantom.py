@@ -203,6 +203,10 @@ def test_make_writes_videos_words_and_truth(tmp_path: Path) -> None:
         assert set(known["stroke_label"].tolist()) <= set(TEMPLATES)
         assert np.all(np.diff(known["stroke_apex"]) > 0)
         assert str(known["presenter"]) == "adam" and int(known["seed"]) == 1
+        assert str(known["voice"]) == "builtin"
+        style = presenter(0).style
+        assert float(known["style_amplitude"]) == style.amplitude
+        assert float(known["style_tempo"]) == style.tempo
     assert sorted(p.name for p in videos[0].parent.iterdir()) == [
         "adam_000.mp4",
         "adam_000.truth.npz",
