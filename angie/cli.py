@@ -105,6 +105,9 @@ def phantom(
     ] = 4.0,
     presenters: Annotated[int, typer.Option(min=1, help="Number of presenters.")] = 4,
     seed: Seed = 0,
+    voice: Annotated[
+        str, typer.Option(help="auto (eSpeak NG where it is installed), builtin or espeak.")
+    ] = "builtin",
     jobs: Jobs = 0,
     force: Force = False,
 ) -> None:
@@ -114,9 +117,15 @@ def phantom(
 
     with whole_folder(output, mark="phantom.json", force=force) as part:
         videos = make_phantom(
-            part, minutes=minutes, seed=seed, presenters=presenters, jobs=jobs or _cores()
+            part,
+            minutes=minutes,
+            seed=seed,
+            presenters=presenters,
+            jobs=jobs or _cores(),
+            voice=voice,
         )
-        origin = {"angie": __version__, "minutes": minutes, "presenters": presenters, "seed": seed}
+        origin = {"angie": __version__, "minutes": minutes, "presenters": presenters, "seed": seed,
+                  "voice": voice}  # fmt: skip
         (part / "phantom.json").write_text(json.dumps(origin) + "\n")
     print(f"{output}: {len(videos)} videos of {presenters} presenters")
 

@@ -130,7 +130,7 @@ class Figure:
         depth = self.joints.depth[t, own] * place.zoom
         offset = (-18 * place.light[0], 8 - 6 * place.light[1])
         limbs.shadow(picture, points, 17 * look.girth, offset, 0.34)
-        radii = np.array([16.0, 15.0 * look.girth, 9.6 * look.girth], np.float32) * depth[:3]
+        radii = np.array([15.5, 14.5 * look.girth, 9.6 * look.girth], np.float32) * depth[:3]
         skin = (255 * look.skin[0], 255 * look.skin[1], 255 * look.skin[2])
         loose = _LOOSE.get(place.garment, 1.05)
         sleeve = limbs.Sleeve(self.tile, TILE_DENSITY, _REACH[place.sleeve], skin, loose)

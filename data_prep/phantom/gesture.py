@@ -64,7 +64,7 @@ TEMPLATES: dict[str, Template] = {
     "frame": Template((92, 66, 85), (50, 92, 115), "flat", (-80, -98), 0.2, 0.95, 2),
     "roll": Template((52, 74, 95), (50, 114, 108), "cup", (-140, -130), 0.4, 0.9, 2,
                      bulge=(44, 0, 25)),
-    "think": Template((84, 84, 75), (74, -32, 40), "point", (-100, -128), 0.7, 1.0),
+    "think": Template((84, 84, 75), (88, -26, 40), "point", (-100, -116), 0.7, 1.0),
     "here": Template((58, 72, 95), (54, 142, 105), "point", (-120, -250), 0.7, 0.95),
 }  # fmt: skip
 """Strokes by label."""
@@ -76,7 +76,14 @@ FREE = ("beat", "beats", "offer", "frame", "weigh", "list", "roll", "cut", "palm
 RECOIL = 0.2
 """Seconds in which a hand springs back a little after the apex."""
 
+_LEAVE = 0.04
+"""Seconds after the apex when a hand is free whose stroke lands on the last syllable."""
+
+_DRIVE, _LIFT = 0.15, 0.13
+"""Seconds that a stroke and its preparation take at least."""
+
 _SHORTEST = 0.34
+"""Seconds from the end of a stroke to the apex of the next, at least."""
 
 
 @dataclass(frozen=True)
@@ -120,32 +127,38 @@ def _stroke_time(template: Template, style: Style) -> float:
     return float(np.clip((0.17 + 0.0016 * path) / style.quickness, 0.18, 0.42))
 
 
-def _snapped(time: float, low: float, high: float, nuclei: NDArray) -> float:
-    """The syllable nearest to `time` within [low, high], else `time` held to that range."""
-    near = nuclei[(nuclei >= low) & (nuclei <= high)]
-    if len(near):
-        return float(near[np.argmin(np.abs(near - time))])
-    return float(min(max(time, low), max(low, high)))
+def _near(pulse: NDArray, wanted: float, low: float, high: float) -> float | None:
+    """The syllable of the pulse nearest to `wanted` within [low, high], None when there is none."""
+    inside = pulse[(pulse >= low) & (pulse <= high)]
+    return float(inside[np.argmin(np.abs(inside - wanted))]) if len(inside) else None
 
 
 def _placed(
-    template: Template, beat: float, free: float, start: float, nuclei: NDArray, style: Style,
+    template: Template, beat: float, free: float, pulse: NDArray, style: Style,
     rng: np.random.Generator,
 ) -> tuple[float, float, float]:  # fmt: skip
     """Onset, end of preparation and end of a stroke whose apex is at `beat`.
 
     All three fall on syllables where there is one in reach, since movement is phrased with speech.
+
+    Args:
+        template: gives the length of the path.
+        beat: onset of the stressed vowel.
+        free: when the hands are free.
+        pulse: syllables that movement keeps time with.
+        style: gives the speed.
+        rng: source of randomness.
     """
     drive = _stroke_time(template, style)
-    wanted = beat - drive - float(rng.uniform(0.36, 0.48)) / style.quickness
-    earliest = max(free, min(start - 0.12, beat - 0.45))
-    onset = max(_snapped(wanted, max(wanted - 0.35, earliest), wanted + 0.14, nuclei), free)
-    onset = min(onset, beat - 0.28)
-    room = beat - onset
-    low, high = onset + 0.4 * room, onset + 0.7 * room
-    prepared = _snapped(beat - drive, low, high, nuclei)
-    end = _snapped(beat + RECOIL, beat + 0.14, beat + 0.36, nuclei)
-    return onset, prepared, end
+    lift = float(rng.uniform(0.30, 0.44)) / style.quickness
+    prepared = _near(pulse, beat - drive, max(beat - 0.55, free + _LIFT), beat - _DRIVE)
+    if prepared is None:
+        prepared = max(beat - min(drive, 0.21), min(free + _LIFT, beat - _DRIVE))
+    onset = _near(pulse, prepared - lift, max(prepared - 0.7, free), prepared - _LIFT)
+    if onset is None:
+        onset = max(prepared - lift, free)
+    end = _near(pulse, beat + RECOIL, beat + 0.14, beat + 0.5)
+    return onset, prepared, beat + _LEAVE if end is None else end
 
 
 def schedule(speech: Speech, style: Style, rng: np.random.Generator) -> list[Stroke]:
@@ -162,7 +175,7 @@ def schedule(speech: Speech, style: Style, rng: np.random.Generator) -> list[Str
     targets = [(word.beats[0], i, TRIGGERS.get(word.word))
                for i, word in enumerate(speech.words) if word.beats]  # fmt: skip
     strokes: list[Stroke] = []
-    nuclei = speech.nuclei
+    pulse = speech.pulse
     for position, (beat, index, label) in enumerate(targets):
         free = strokes[-1].end if strokes else 0.1
         start, _ = speech.phrases[speech.words[index].phrase]
@@ -180,7 +193,7 @@ def schedule(speech: Speech, style: Style, rng: np.random.Generator) -> list[Str
                 strokes.pop()
             free = strokes[-1].end if strokes else 0.1
         template = TEMPLATES[label]
-        onset, prepared, end = _placed(template, beat, free, start, nuclei, style, rng)
+        onset, prepared, end = _placed(template, beat, free, pulse, style, rng)
         hands = _hands(template, style, rng)
         strokes.append(Stroke(label, hands, onset, prepared, beat, end, index, called))
     return strokes

@@ -4,6 +4,7 @@ import json
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -12,12 +13,13 @@ from numpy.typing import NDArray
 
 from data_prep.errors import BadInput
 from data_prep.output import whole_file
+from data_prep.phantom import espeak
 from data_prep.phantom.figure import HEIGHT, WIDTH, Figure
 from data_prep.phantom.gesture import Stroke, schedule
 from data_prep.phantom.motion import course
 from data_prep.phantom.presenters import Presenter, Setting, presenter, setting
 from data_prep.phantom.script import script
-from data_prep.phantom.skeleton import JOINTS
+from data_prep.phantom.skeleton import JOINTS, Course, Joints, joints
 from data_prep.phantom.speech import Speech, speak
 from data_prep.progress import progress
 from data_prep.rates import FPS
@@ -25,6 +27,9 @@ from data_prep.video_writer import VideoWriter
 
 COMMENT = "Synthetic: the phantom speaker of angie; no real person is shown or heard."
 """Metadata of every phantom video."""
+
+VOICES = ("auto", "builtin", "espeak")
+"""Choices of the voice: eSpeak NG where it is installed, else the built-in one; either."""
 
 _LENGTH = 30.0
 """Seconds of one video, about."""
@@ -38,10 +43,39 @@ class Take:
     place: Setting
     speech: Speech
     strokes: list[Stroke]
-    figure: Figure
+    path: Course
+    key: tuple[int, ...]  # seeds what is drawn at random
+    voice: str
+
+    @cached_property
+    def joints(self) -> Joints:
+        """Where the joints are in every frame."""
+        return joints(self.path, self.who.look, self.place, WIDTH)
+
+    @cached_property
+    def figure(self) -> Figure:
+        """What draws it; textures are made at the first use."""
+        return Figure(self.who, self.place, self.path, list(self.key))
 
 
-def take(index: int, number: int, *, seconds: float = _LENGTH, seed: int = 0) -> Take:
+def voice_named(name: str) -> str:
+    """The voice "builtin" or "espeak" that a choice stands for; "auto" takes what is installed.
+
+    Raises:
+        BadInput: another name, or eSpeak NG is asked for and not installed.
+    """
+    if name not in VOICES:
+        raise BadInput(f"--voice {name}: there are {', '.join(VOICES)}")
+    if name == "espeak" and not espeak.installed():
+        raise BadInput("--voice espeak: not found; install the package espeak-ng or use builtin")
+    if name == "auto":
+        return "espeak" if espeak.installed() else "builtin"
+    return name
+
+
+def take(
+    index: int, number: int, *, seconds: float = _LENGTH, seed: int = 0, voice: str = "builtin"
+) -> Take:
     """Video `number` of a presenter, ready to be drawn.
 
     Args:
@@ -49,15 +83,17 @@ def take(index: int, number: int, *, seconds: float = _LENGTH, seed: int = 0) ->
         number: of the video, from 0; clothes, place and words change with it.
         seconds: about how long.
         seed: of everything.
+        voice: "builtin" or "espeak".
     """
     key = [seed, index, number]
     who = presenter(index, seed)
     place = setting(who, np.random.default_rng([*key, 1]))
     phrases = script(seconds, who.voice.rate, np.random.default_rng([*key, 2]))
-    speech = speak(phrases, who.voice, np.random.default_rng([*key, 3]))
+    say = espeak.speak if voice == "espeak" else speak
+    speech = say(phrases, who.voice, np.random.default_rng([*key, 3]))
     strokes = schedule(speech, who.style, np.random.default_rng([*key, 4]))
     path = course(speech, strokes, who.style, np.random.default_rng([*key, 5]))
-    return Take(who, place, speech, strokes, Figure(who, place, path, [*key, 6]))
+    return Take(who, place, speech, strokes, path, (*key, 6), voice)
 
 
 def still(index: int, *, number: int = 0, seed: int = 0) -> NDArray[np.uint8]:
@@ -92,13 +128,14 @@ def truth(shot: Take, seed: int) -> dict[str, NDArray]:
     `joints` (T, J, 2) float32 pixels (x, y) with `joint_names` (J,); `stroke_label`,
     `stroke_hand` ("right", "left", "both"), `stroke_word` (index of the word), `stroke_called`
     (whether the word calls for it) and `stroke_onset`, `stroke_prepared`, `stroke_apex`,
-    `stroke_end` in seconds, (n,) each; `beats` (m,) onsets of stressed vowels in seconds; `fps`,
-    `seed`, `presenter`.
+    `stroke_end` in seconds, (n,) each; `beats` (m,) onsets of stressed vowels in seconds;
+    `style_amplitude`, `style_right_hand`, `style_tempo` as in `presenters.Style`; `fps`,
+    `seed`, `presenter`, `voice` ("builtin" or "espeak").
     """
     strokes = shot.strokes
     hand = ["both" if len(s.hands) == 2 else ("right", "left")[s.hands[0]] for s in strokes]
     return {
-        "joints": shot.figure.joints.points,
+        "joints": shot.joints.points,
         "joint_names": np.array(JOINTS),
         "stroke_label": np.array([s.label for s in strokes], dtype="U16"),
         "stroke_hand": np.array(hand, dtype="U5"),
@@ -109,9 +146,13 @@ def truth(shot: Take, seed: int) -> dict[str, NDArray]:
         "stroke_apex": np.array([s.apex for s in strokes], np.float64),
         "stroke_end": np.array([s.end for s in strokes], np.float64),
         "beats": shot.speech.beats.astype(np.float64),
+        "style_amplitude": np.array(shot.who.style.amplitude),
+        "style_right_hand": np.array(shot.who.style.right_hand),
+        "style_tempo": np.array(shot.who.style.tempo),
         "fps": np.array(FPS),
         "seed": np.array(seed),
         "presenter": np.array(shot.who.name),
+        "voice": np.array(shot.voice),
     }
 
 
@@ -122,13 +163,16 @@ class _Order:
     number: int
     seconds: float
     seed: int
+    voice: str
 
 
 def _write(order: _Order) -> str:
     """Draw one video and write it with its words and truth; the video comes last."""
     cv2.setNumThreads(1)
     path = Path(order.path)
-    shot = take(order.index, order.number, seconds=order.seconds, seed=order.seed)
+    shot = take(
+        order.index, order.number, seconds=order.seconds, seed=order.seed, voice=order.voice
+    )
     words = [
         {"word": w.word, "start": round(w.start, 4), "end": round(w.end, 4)}
         for w in shot.speech.words
@@ -149,12 +193,12 @@ def _write(order: _Order) -> str:
             threads=1,
         ) as video,
     ):
-        for t in range(shot.figure.joints.frames):
+        for t in range(shot.joints.frames):
             video.write(shot.figure.frame(t))
     return order.path
 
 
-def _orders(output: Path, minutes: float, seed: int, presenters: int) -> list[_Order]:
+def _orders(output: Path, minutes: float, seed: int, presenters: int, voice: str) -> list[_Order]:
     each = minutes * 60 / presenters
     count = max(1, round(each / _LENGTH))
     orders = []
@@ -162,12 +206,18 @@ def _orders(output: Path, minutes: float, seed: int, presenters: int) -> list[_O
         for index in range(presenters):
             name = presenter(index, seed).name
             path = output / name / f"{name}_{number:03d}.mp4"
-            orders.append(_Order(str(path), index, number, each / count, seed))
+            orders.append(_Order(str(path), index, number, each / count, seed, voice))
     return orders
 
 
 def make_phantom(
-    output: Path, *, minutes: float, seed: int, presenters: int = 4, jobs: int = 1
+    output: Path,
+    *,
+    minutes: float,
+    seed: int,
+    presenters: int = 4,
+    jobs: int = 1,
+    voice: str = "builtin",
 ) -> list[Path]:
     """Write videos of phantom speakers: `output/<presenter>/<presenter>_<n>.mp4`.
 
@@ -180,6 +230,7 @@ def make_phantom(
         seed: everything follows from it.
         presenters: how many people.
         jobs: processes.
+        voice: one of `VOICES`; what "auto" gives depends on the machine.
 
     Returns:
         The videos, by presenter and number.
@@ -193,7 +244,7 @@ def make_phantom(
             "cannot be made; minutes, presenters and jobs must be above 0, the seed not below"
         )
     output = Path(output)
-    orders = _orders(output, minutes, seed, presenters)
+    orders = _orders(output, minutes, seed, presenters, voice_named(voice))
     try:
         output.mkdir(exist_ok=True)
         for order in orders:

@@ -16,6 +16,12 @@ from data_prep.rates import FPS
 _HOLD = 0.75
 """Gaps between strokes up to this many seconds of silence are bridged by holding the pose."""
 
+_STEP = 0.13
+"""Seconds that a step of a movement lasts at least."""
+
+_BLEND = 0.12
+"""Share of a step by which it overlaps its neighbours."""
+
 _RETURN = 0.55
 """Seconds that a hand takes back to rest."""
 
@@ -55,6 +61,25 @@ class _Path:
         self.moves.append((self.now, time + late, pose - self.pose, bow))
         self.now, self.pose = time, pose
 
+    def through(self, beats: NDArray, time: float, pose: NDArray) -> None:
+        """Move from now until `time` to `pose` in steps that meet at the beats between.
+
+        Neighbouring steps overlap, so that the hand slows down on a beat without a stop.
+        """
+        inside = beats[(beats > self.now + _STEP) & (beats < time - _STEP)]
+        corners = [self.now]
+        for beat in [*inside, time]:
+            if beat - corners[-1] >= _STEP:
+                corners.append(float(beat))
+        corners[-1] = time
+        whole, start = pose - self.pose, self.now
+        for first, last in zip(corners[:-1], corners[1:], strict=True):
+            blend = _BLEND * (last - first)
+            early = first - (blend if first > start else 0.0)
+            late = last + (blend if last < time else 0.0)
+            self.moves.append((early, late, whole * (last - first) / (time - start), np.zeros(3)))
+        self.now, self.pose = time, pose
+
     def wait(self, time: float) -> None:
         """Stay where the hand is until `time`, when that is later."""
         self.now = max(self.now, time)
@@ -92,7 +117,7 @@ def _course_of_hand(
     side = float(SIDES[hand])
     rest = _pose(REST, False, False, side, style)
     path = _Path(-1.0, rest)
-    nuclei, starts, ends = speech.nuclei, *zip(*speech.phrases, strict=True)
+    pulse, ends = speech.pulse, [end for _, end in speech.phrases]
     mine = [stroke for stroke in strokes if hand in stroke.hands]
     for number, stroke in enumerate(mine):
         template = TEMPLATES[stroke.label]
@@ -100,20 +125,26 @@ def _course_of_hand(
         shift = np.concatenate([rng.normal(0, 4, 3), np.zeros(9)])
         prep = _pose(template, False, second, side, style) + shift
         apex = _pose(template, True, second, side, style) + shift
-        spoken = stroke.prepared > starts[speech.words[stroke.word].phrase]
+        spoken = stroke.prepared in pulse
         drive = stroke.apex - stroke.prepared
         path.wait(stroke.onset)
-        path.to(stroke.prepared, prep, late=0.0 if spoken else 0.5 * drive)
+        if spoken:
+            path.through(pulse, stroke.prepared, prep)
+        else:
+            path.to(stroke.prepared, prep, late=0.5 * drive)
         bulge = np.array(template.bulge) * np.array([side, 1, 1]) * style.amplitude
         path.to(stroke.apex, apex, bulge)
-        path.to(stroke.end, apex + 0.13 * (prep - apex))
         after = mine[number + 1].onset if number + 1 < len(mine) else np.inf
         phrase_end = ends[speech.words[stroke.word].phrase]
-        last = float(nuclei[nuclei < phrase_end][-1])
-        leave = max(stroke.end, min(last, stroke.end + 1.4))
-        if after - phrase_end > _HOLD:
-            path.wait(leave)
-            path.to(leave + _RETURN, rest)
+        last = float(pulse[pulse < phrase_end][-1])
+        home, final = after - phrase_end > _HOLD, last <= stroke.apex
+        if home and final:
+            path.to(stroke.apex + 1.2 * _RETURN, rest)
+            continue
+        path.to(min(stroke.apex + 0.4, after) if final else stroke.end, apex + 0.13 * (prep - apex))
+        if home:
+            path.wait(max(stroke.end, min(last, stroke.end + 1.4)))
+            path.to(path.now + _RETURN, rest)
     return path
 
 
@@ -128,7 +159,7 @@ def _keyed(at: NDArray, times: list[float], values: list[float]) -> NDArray:
 def _rhythm(
     at: NDArray, speech: Speech, accents: NDArray, pauses: list[tuple[float, float]]
 ) -> NDArray:
-    """Rhythmic movement (n,) that comes to rest on every syllable, zero when nothing is said.
+    """Rhythmic movement (n,) that comes to rest on every syllable of the pulse, zero in silence.
 
     Stressed syllables pull it to their accent (about 1, downwards), the others a little back and
     forth, so that its speed has a minimum on each syllable and none between.
@@ -143,14 +174,14 @@ def _rhythm(
     keys: dict[float, float] = {-1.0: 0.0, speech.duration + 9.0: 0.0}
     for first, last in pauses:
         keys[first] = keys[last] = 0.0
-    nuclei = speech.nuclei
+    pulse = speech.pulse
     for start, end in speech.phrases:
-        inside = nuclei[(nuclei >= start) & (nuclei <= end)].tolist()
+        inside = pulse[(pulse >= start) & (pulse <= end)].tolist()
         keys[inside[0] - 0.14] = keys[inside[-1] + 0.2] = 0.0
         value = 0.0
-        for nucleus in inside:
-            value = strong.get(nucleus, -0.35 if value > 0 else 0.25)
-            keys[nucleus] = value
+        for syllable in inside:
+            value = strong.get(syllable, -0.35 if value > 0 else 0.25)
+            keys[syllable] = value
     times: list[float] = []
     for time in sorted(keys):
         paused = any(first < time < last for first, last in pauses)

@@ -46,12 +46,17 @@ class Segment:
     open: float = 0.1  # lips and jaw, 0 closed to 1
     spread: float = 0.6  # lips, 0 rounded to 1 spread
 
+    @property
+    def vowel(self) -> bool:
+        """Whether this is (part of) a vowel."""
+        return self.phone in VOWELS
+
 
 _FRICATIVES = {  # place, centre, bandwidth, level, voiced, duration
-    "S": (ALVEOLAR, 6500, 2600, 0.50, False, 0.105), "Z": (ALVEOLAR, 6300, 2600, 0.26, True, 0.075),
-    "SH": (PALATAL, 3100, 1700, 0.50, False, 0.105), "ZH": (PALATAL, 3000, 1700, 0.26, True, 0.07),
-    "F": (LABIAL, 5200, 6500, 0.13, False, 0.095), "V": (LABIAL, 4500, 6000, 0.06, True, 0.06),
-    "TH": (DENTAL, 6200, 5000, 0.11, False, 0.09), "DH": (DENTAL, 5500, 5000, 0.04, True, 0.05),
+    "S": (ALVEOLAR, 6500, 2600, 0.50, False, 0.095), "Z": (ALVEOLAR, 6300, 2600, 0.26, True, 0.075),
+    "SH": (PALATAL, 3100, 1700, 0.50, False, 0.095), "ZH": (PALATAL, 3000, 1700, 0.26, True, 0.07),
+    "F": (LABIAL, 5200, 6500, 0.13, False, 0.085), "V": (LABIAL, 4500, 6000, 0.06, True, 0.06),
+    "TH": (DENTAL, 6200, 5000, 0.11, False, 0.08), "DH": (DENTAL, 5500, 5000, 0.02, True, 0.045),
 }  # fmt: skip
 _STOPS = {  # place, burst centre, burst bandwidth, level, voiced, closure
     "P": (LABIAL, 1200, 2200, 0.35, False, 0.065), "B": (LABIAL, 900, 1500, 0.22, True, 0.055),
@@ -69,12 +74,16 @@ _SONORANTS = {  # targets, level, bandwidth scale, duration, opening, spread
 }  # fmt: skip
 
 
+_CODA = 0.4
+"""Level of noise that ends a syllable over that of noise that begins it."""
+
+
 def _vowel(name: str, stress: int, longer: float) -> list[Segment]:
     targets = VOWELS[name]
     if not stress and len(targets) == 1 and name not in ("ER", "IY"):
         mid = (520.0, 1450.0, 2500.0)
         targets = (tuple(0.7 * a + 0.3 * b for a, b in zip(targets[0], mid, strict=True)),)  # type: ignore[assignment]
-    length = _LENGTH[name] * longer * (1.18 if stress else 0.66)
+    length = _LENGTH[name] * longer * (1.12 if stress else 0.8)
     level = 1.0 if stress else 0.55
     opening = [min(1.0, (t[0] - 200) / 480) for t in targets]
     spread = [min(1.0, max(0.0, (t[1] - 800) / 1400)) for t in targets]
@@ -90,14 +99,23 @@ def _vowel(name: str, stress: int, longer: float) -> list[Segment]:
     ]  # fmt: skip
 
 
-def _stop(name: str, after: str | None, stressed: bool) -> list[Segment]:
+def _stop(name: str, after: str | None, stressed: bool, final: bool) -> list[Segment]:
+    """Closure, burst and aspiration.
+
+    A stop that ends a word is not released, or before a vowel is a tap (T, D) or weak.
+    """
     place, centre, band, level, voiced, closure = _STOPS[name]
     shut = 0.0 if place is LABIAL else 0.15
     out = [Segment(name, closure, place, place, 0.16 if voiced else 0.0, broad=2.5, open=shut)]
     noise = (float(centre), float(band))
+    if final and after not in VOWELS:
+        return out
+    if final and name in "TD":
+        return [Segment(name, 0.03, place, place, 0.35, broad=1.8, open=0.2)]
+    level *= _CODA if final else 1.0
     out.append(Segment(name, 0.012, place, place, 0.1 if voiced else 0.0, friction=level,
                        noise=noise, open=shut + 0.05))  # fmt: skip
-    if not voiced and after is not None and (after in VOWELS or after in _SONORANTS):
+    if not (voiced or final) and (after in VOWELS or after in _SONORANTS):
         length = 0.045 if stressed else 0.025
         out.append(Segment(name, length, place, place, 0.0, breath=0.5, friction=0.1 * level,
                            noise=noise, open=0.2))  # fmt: skip
@@ -114,21 +132,25 @@ def segments(phones: tuple[str, ...], following: str | None, longer: float = 1.0
     """
     out: list[Segment] = []
     bare = [p.rstrip("01") for p in phones]
+    last = max(index for index, name in enumerate(bare) if name in VOWELS)
     for index, name in enumerate(bare):
+        final = index > last
         after = bare[index + 1] if index + 1 < len(bare) else following
         stressed = index + 1 < len(phones) and phones[index + 1].endswith("1")
         if name in VOWELS:
             out += _vowel(name, int(phones[index][-1]), longer)
         elif name in _FRICATIVES:
             place, centre, band, level, voiced, length = _FRICATIVES[name]
+            level *= _CODA if final else 1.0
             out.append(Segment(name, length, place, place, 0.32 if voiced else 0.0, friction=level,
                                noise=(float(centre), float(band)), open=0.12))  # fmt: skip
         elif name in _STOPS:
-            out += _stop(name, after, stressed)
+            out += _stop(name, after, stressed, final)
         elif name in ("CH", "JH"):
             fused = "T" if name == "CH" else "D"
-            out += _stop(fused, None, stressed)
+            out += _stop(fused, None, stressed, final)
             level, voicing = (0.5, 0.0) if name == "CH" else (0.3, 0.2)
+            level *= _CODA if final else 1.0
             noise = (3200.0, 1700.0)
             out.append(
                 Segment(

@@ -54,6 +54,9 @@ class Voice:
     rate: float  # scales the speed of speech
     breath: float  # aspiration relative to voicing
     effort: float  # spectral tilt: 0 soft, 1 bright
+    rough: float = 1.0  # scales jitter and shimmer
+    espeak: str = "m3"  # variant of the same kind in eSpeak NG
+    espeak_pitch: int = 50  # 0 to 99
 
 
 @dataclass(frozen=True)
@@ -115,13 +118,14 @@ _STYLES = (
 )
 
 _VOICES = (
-    Voice(112, 5.0, 1.00, 1.00, 0.03, 0.65),
-    Voice(205, 6.0, 1.16, 1.06, 0.06, 0.55),
-    Voice(92, 4.0, 0.95, 0.92, 0.04, 0.60),
-    Voice(188, 5.0, 1.13, 1.02, 0.09, 0.50),
-    Voice(124, 5.5, 1.02, 0.94, 0.08, 0.45),
-    Voice(222, 5.5, 1.18, 1.08, 0.05, 0.60),
+    Voice(112, 5.0, 1.00, 1.00, 0.03, 0.65, 1.0, "m3", 45),
+    Voice(205, 6.0, 1.17, 1.06, 0.05, 0.60, 1.0, "f2", 55),
+    Voice(86, 3.5, 0.92, 0.92, 0.03, 0.70, 1.0, "m7", 25),
+    Voice(178, 4.5, 1.12, 0.98, 0.12, 0.40, 1.0, "f4", 40),
+    Voice(132, 5.0, 1.00, 0.88, 0.10, 0.45, 3.0, "m5", 50),
+    Voice(268, 6.0, 1.30, 1.08, 0.05, 0.65, 0.7, "f5", 85),
 )
+"""A man, a woman, a deep man, a breathy woman, an old man and a young, small voice."""
 
 _NAMES = ("adam", "bella", "carl", "dora", "emil", "fay")
 

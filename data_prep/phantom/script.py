@@ -78,6 +78,7 @@ class Phrase:
     words: tuple[str, ...]
     pause: float
     final: bool  # the last of its sentence
+    tempo: float = 1.0  # scales the speed of the voice
 
 
 def _fill(sentence: str, rng: np.random.Generator) -> list[str]:
@@ -92,16 +93,16 @@ def _fill(sentence: str, rng: np.random.Generator) -> list[str]:
 def script(duration: float, rate: float, rng: np.random.Generator) -> list[Phrase]:
     """Phrases that fill about `duration` seconds with pauses between them.
 
-    Pauses last 0.3 to 0.5 s inside a sentence and 0.4 to 1.2 s after one; every third sentence
-    is followed by a silence of 2 to 3 s.
+    Pauses last 0.45 to 0.75 s inside a sentence and 0.9 to 1.6 s after one; every second sentence
+    is followed by a silence of 2 to 3 s. The tempo changes from phrase to phrase.
 
     Args:
         duration: seconds to fill.
-        rate: speed of the voice, 1 for about 2.6 words a second.
+        rate: speed of the voice, 1 for about 2.75 words a second.
         rng: source of randomness.
     """
     phrases: list[Phrase] = []
-    spent, since = 0.0, int(rng.integers(0, 3))
+    spent, since = 0.0, int(rng.integers(0, 2))
     order: list[int] = []
     while spent < duration:
         if not order:
@@ -113,14 +114,13 @@ def script(duration: float, rate: float, rng: np.random.Generator) -> list[Phras
                 words.append(token)
                 continue
             last = index == len(tokens) - 1
-            pause = float(rng.uniform(0.3, 0.5))
+            pause = float(rng.uniform(0.45, 0.75))
             if last:
                 since += 1
-                pause = float(rng.uniform(0.9, 1.2) if since % 2 else rng.uniform(0.4, 0.6))
-                if since >= 3:
-                    since, pause = 0, float(rng.uniform(2.0, 3.0))
-            phrases.append(Phrase(tuple(words), pause, token == "."))
-            spent += pause + len(words) / (2.6 * rate)
+                pause = float(rng.uniform(2.0, 3.0) if since % 2 else rng.uniform(0.9, 1.6))
+            tempo = float(rng.uniform(0.88, 1.14))
+            phrases.append(Phrase(tuple(words), pause, token == ".", tempo))
+            spent += pause + len(words) / (2.75 * rate * tempo)
             words = []
     return phrases
 

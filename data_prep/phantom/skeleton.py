@@ -125,10 +125,10 @@ def joints(course: Course, look: Look, place: Setting, width: int) -> Joints:
     out[:, 3, :2] = body[:, :, 2]
     for hand, side in enumerate(SIDES):
         first = 4 + 4 * hand
-        rest = np.array([side * look.shoulders, 22.0])
+        rest = np.array([side * look.shoulders, 26.0])
         out[:, first, :2] = body[:, :, :2] @ rest + body[:, :, 2]
         target = course.wrists[:, hand].astype(np.float64).copy()
-        target[:, :2] += course.sway * 0.6
+        target[:, 0] += course.sway[:, 0] * 0.6
         bent, reached = elbow(out[:, first], target, np.full(frames, side))
         out[:, first + 1], out[:, first + 2] = bent, reached
         angle = course.angle[:, hand]

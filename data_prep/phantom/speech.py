@@ -1,6 +1,7 @@
 """Speech of the phantom: samples, word times, stressed syllables and the mouth."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +12,18 @@ from data_prep.phantom.lexicon import LEXICON
 from data_prep.phantom.phones import Segment, segments
 from data_prep.phantom.presenters import Voice
 from data_prep.phantom.script import Phrase
+from data_prep.rates import FPS
 
-_LEAD = 0.6
+_PACE = 0.76
+"""Speed of a voice of rate 1 over that of the phones' own durations."""
+
+ROOM = 0.0004
+"""Level of the room's noise."""
+
+_APART = 0.18
+"""Seconds between syllables that movement can keep up with."""
+
+LEAD = 0.6
 """Seconds of silence before the first word."""
 
 
@@ -53,6 +64,18 @@ class Speech:
         """Onsets (m,) of all vowels, seconds."""
         return np.array([nucleus for word in self.words for nucleus in word.nuclei])
 
+    @cached_property
+    def pulse(self) -> NDArray[np.float64]:
+        """Onsets (k,) of the vowels that movement keeps time with, seconds.
+
+        All stressed ones, and those others that are `_APART` from every vowel that is kept.
+        """
+        kept = self.beats.tolist()
+        for nucleus in self.nuclei.tolist():
+            if all(abs(other - nucleus) >= _APART for other in kept):
+                kept.append(nucleus)
+        return np.array(sorted(kept))
+
     @property
     def phrases(self) -> list[tuple[float, float]]:
         """Start and end of each phrase, seconds."""
@@ -74,18 +97,23 @@ def _phrase_segments(phrase: Phrase) -> list[list[Segment]]:
 
 def _timed(
     phrases: list[Phrase], voice: Voice
-) -> tuple[list[Word], list[tuple[float, Segment]], float]:
-    """Words, segments with their start times, and the whole duration."""
-    now, words, track = _LEAD, [], []
+) -> tuple[list[Word], list[tuple[float, float, Segment]], float]:
+    """Words, segments with their starts and ends, and the whole duration.
+
+    Slow speech lengthens its vowels more than its consonants.
+    """
+    now, words, track = LEAD, [], []
     for number, phrase in enumerate(phrases):
+        speed = _PACE * voice.rate * phrase.tempo
         for word, parts in zip(phrase.words, _phrase_segments(phrase), strict=True):
             start, nuclei, beats = now, [], []
             for part in parts:
                 if part.nucleus:
                     nuclei.append(now)
                     beats += [now] if part.stress else []
-                track.append((now, part))
-                now += part.duration / voice.rate
+                end = now + part.duration / (speed if part.vowel else speed**0.5)
+                track.append((now, end, part))
+                now = end
             words.append(Word(word, start, now, tuple(nuclei), tuple(beats), number))
         now += phrase.pause
     return words, track, now
@@ -113,14 +141,14 @@ def _pitch(
     return voice.pitch * 2 ** (semitones / 12)
 
 
-def _tracks(track: list[tuple[float, Segment]], voice: Voice, count: int) -> dict[str, NDArray]:
+def _tracks(track: list[tuple[float, float, Segment]], count: int) -> dict[str, NDArray]:
     """Control tracks (count,) or (count, n), smoothed as articulators move."""
     at = (np.arange(count) + 0.5) / CONTROL
-    starts = np.array([start for start, _ in track])
-    ends = starts + np.array([part.duration for _, part in track]) / voice.rate
+    starts = np.array([start for start, _, _ in track])
+    ends = np.array([end for _, end, _ in track])
     index = np.clip(np.searchsorted(starts, at, side="right") - 1, 0, len(track) - 1)
     said = (at >= starts[0]) & (at < ends[index])
-    parts = [part for _, part in track]
+    parts = [part for _, _, part in track]
     share = np.clip((at - starts[index]) / (ends - starts)[index], 0, 1)
     first = np.array([p.start for p in parts], float)[index]
     second = np.array([p.end for p in parts], float)[index]
@@ -141,6 +169,11 @@ def _tracks(track: list[tuple[float, Segment]], voice: Voice, count: int) -> dic
     }
 
 
+def whole_frames(duration: float) -> int:
+    """Video frames that cover a duration in seconds."""
+    return int(np.ceil(duration * FPS))
+
+
 def speak(phrases: list[Phrase], voice: Voice, rng: np.random.Generator) -> Speech:
     """Say the phrases with a voice.
 
@@ -153,10 +186,9 @@ def speak(phrases: list[Phrase], voice: Voice, rng: np.random.Generator) -> Spee
         Speech at `formant.RATE`, a whole number of video frames long, peak at 0.8.
     """
     words, track, duration = _timed(phrases, voice)
-    frames = int(np.ceil(duration * 25))
-    count = frames * CONTROL // 25
+    count = whole_frames(duration) * CONTROL // FPS
     at = (np.arange(count) + 0.5) / CONTROL
-    tracks = _tracks(track, voice, count)
+    tracks = _tracks(track, count)
     controls = Controls(
         pitch=_pitch(words, phrases, voice, at, rng),
         voicing=tracks["voicing"],
@@ -168,6 +200,6 @@ def speak(phrases: list[Phrase], voice: Voice, rng: np.random.Generator) -> Spee
     )
     samples = synthesise(controls, voice, rng)
     samples *= 0.8 / max(float(np.abs(samples).max()), 1e-6)
-    samples += 0.00003 * rng.standard_normal(len(samples)).astype(np.float32)
+    samples += ROOM * rng.standard_normal(len(samples)).astype(np.float32)
     opening, spread = tracks["open"], tracks["spread"]
     return Speech(samples, RATE, words, opening.astype(np.float32), spread.astype(np.float32))

@@ -1,7 +1,7 @@
 """The torso: neck, chest and clothes as one shaded sprite.
 
 The origin is the pit of the neck; the chin is at y = -28 and the shoulder joints at
-(+-shoulders, 22).
+(+-shoulders, 26).
 """
 
 import numpy as np
@@ -32,8 +32,8 @@ TILE_DENSITY = 1.7
 
 def _outline(look: Look) -> Array:
     s, g = look.shoulders, look.girth
-    half = [(0, -14), (17, -15), (28, -6), (s * 0.66, 1), (s + 2, 6), (s + 16, 20)]
-    half += [(s + 16, 38), (s + 2, 64), (s - 9, 96), (66 * g, 150), (68 * g, 200), (72 * g, 252)]
+    half = [(0, -14), (17, -15), (28, -6), (s * 0.62, 3), (s * 0.92, 9), (s + 9, 19)]
+    half += [(s + 15, 38), (s + 2, 64), (s - 9, 96), (66 * g, 150), (68 * g, 200), (72 * g, 252)]
     return smooth(mirrored([*half, (0, 256)]))
 
 
@@ -42,7 +42,7 @@ def _skin(look: Look, place: Setting) -> Array:
     x, y = TORSO.grid()
     width = 19.5 * look.girth * look.face_width
     neck = [(0, -58), (width * 0.97, -56), (width * 0.95, -34), (width, -18), (width + 8, -7)]
-    mask = TORSO.fill(smooth(mirrored([*neck, (52, 8), (56, 60), (0, 72)])), 0.3)
+    mask = TORSO.fill(smooth(mirrored([*neck, (38, 12), (44, 60), (0, 72)])), 0.3)
     relief = inflate(mask, 24 * TORSO.density, 4.0)
     for side in (-1, 1):
         relief = relief + 2.2 * bump(x, y, side * 24, 5 - 0.1 * 24, 20, 2.4)

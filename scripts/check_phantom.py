@@ -1,0 +1,163 @@
+"""Check that the truth of phantom videos agrees with their sound.
+
+    python scripts/check_phantom.py RAW [--derangements 5]
+
+RAW is what `angie phantom` wrote. Prints, by presenter and in all:
+
+- strokes: the share that starts within a frame of its stated onset, and the same for onsets
+  stated 0.3 s late, as a control;
+- beat consistency and percentage of matched beats between true motion and its own sound, and
+  between true motion and the sound of other videos, cut to the shorter of the two. `hands` scores
+  wrists and hands, `arms` the angles at shoulders and elbows. See `data_prep.phantom.consistency`.
+"""
+
+import argparse
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_prep.features import onset_times
+from data_prep.phantom import consistency as score
+from data_prep.rates import FPS, SAMPLE_RATE
+from data_prep.sound import read_sound
+
+CHANGES: dict[str, Callable[[NDArray], NDArray]] = {
+    "hands": score.steps, "arms": score.arm_turns,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One video: its presenter, truth and sound."""
+
+    presenter: str
+    joints: NDArray  # (T, J, 2)
+    onsets: NDArray  # (n,) of the sound, seconds
+    strokes: list[tuple[str, float, float]]  # hand, onset, end of preparation
+
+    @property
+    def seconds(self) -> float:
+        """Length of the video."""
+        return len(self.joints) / FPS
+
+
+def read(video: Path) -> Clip:
+    """The truth and the sound of one video."""
+    with np.load(video.with_suffix(".truth.npz"), allow_pickle=False) as truth:
+        hands = [str(hand) for hand in truth["stroke_hand"]]
+        strokes = zip(
+            hands, truth["stroke_onset"].tolist(), truth["stroke_prepared"].tolist(), strict=True
+        )
+        name, joints = str(truth["presenter"]), truth["joints"]
+        samples = read_sound(video, SAMPLE_RATE)
+        return Clip(name, joints, onset_times(samples).astype(np.float64), list(strokes))
+
+
+def starts(clips: list[Clip], late: float = 0.0) -> NDArray:
+    """How far each stroke starts from its stated onset plus `late`, seconds."""
+    return np.array([
+        score.stroke_start(clip.joints, hand, onset + late, prepared + late) - onset - late
+        for clip in clips for hand, onset, prepared in clip.strokes
+        if prepared + late < clip.seconds - 0.1
+    ])  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Beats:
+    """Beats of a clip's motion for either score, seconds."""
+
+    consistency: NDArray
+    matched: NDArray
+
+
+def beats(clips: list[Clip], kind: str) -> list[Beats]:
+    """Motion beats of every clip; each presenter's motion is scaled by its own mean."""
+    changes = [CHANGES[kind](clip.joints) for clip in clips]
+    names = [clip.presenter for clip in clips]
+    usual = {
+        name: np.concatenate(
+            [c for c, other in zip(changes, names, strict=True) if other == name]
+        ).mean(0)
+        for name in set(names)
+    }
+    curves = [score.activity(c, usual[name]) for c, name in zip(changes, names, strict=True)]
+    return [
+        Beats(score.minima(curve), score.smooth_minima(change.mean(1)))
+        for curve, change in zip(curves, changes, strict=True)
+    ]
+
+
+def compared(
+    clips: list[Clip], motion: list[Beats], pairs: list[tuple[int, int]]
+) -> tuple[float, float]:
+    """Both scores over (motion, sound) pairs of clips, weighted by the number of beats."""
+    sums = np.zeros(4)
+    for i, j in pairs:
+        end = min(clips[i].seconds, clips[j].seconds)
+        sound = clips[j].onsets[clips[j].onsets < end]
+        first, second = motion[i].consistency, motion[i].matched
+        first, second = first[first < end], second[second < end]
+        if len(first) and len(sound):
+            sums[:2] += len(sound) * score.beat_consistency(first, sound), len(sound)
+        if len(second) and len(sound):
+            kept = score.spaced(sound)
+            sums[2:] += len(second) * score.matched_beats(second, kept), len(second)
+    return sums[0] / max(sums[1], 1), sums[2] / max(sums[3], 1)
+
+
+def deranged(count: int, times: int) -> list[tuple[int, int]]:
+    """Pairs (i, j) with i != j: `times` seeded derangements of `count` things."""
+    rng = np.random.default_rng(0)
+    pairs = []
+    for _ in range(times):
+        order = rng.permutation(count)
+        step = int(rng.integers(1, count))
+        pairs += list(zip(order.tolist(), np.roll(order, step).tolist(), strict=True))
+    return pairs
+
+
+def report(clips: list[Clip], derangements: int) -> None:
+    """Print the tables."""
+    away, control = np.abs(starts(clips)), np.abs(starts(clips, 0.3))
+    print(f"{len(clips)} videos, {sum(c.seconds for c in clips) / 60:.1f} minutes")
+    print(
+        f"strokes: {np.mean(away <= 1 / FPS):.1%} of {len(away)} start within one frame of the "
+        f"stated time (median {1000 * np.median(away):.0f} ms away); "
+        f"control, stated 0.3 s late: {np.mean(control <= 1 / FPS):.1%}"
+    )
+    print(f"\n{'':20}{'beat consistency':>24}{'matched beats (%)':>28}")
+    print(f"{'':20}{'own':>8}{'other':>8}{'diff':>8}   {'own':>9}{'other':>8}{'diff':>8}")
+    others = deranged(len(clips), derangements)
+    for kind in CHANGES:
+        motion = beats(clips, kind)
+        for name in [*sorted({clip.presenter for clip in clips}), "all"]:
+            mine = [i for i, clip in enumerate(clips) if name in ("all", clip.presenter)]
+            own = compared(clips, motion, [(i, i) for i in mine])
+            other = compared(clips, motion, [(i, j) for i, j in others if i in mine])
+            print(
+                f"{kind:8}{name:12}{own[0]:8.3f}{other[0]:8.3f}{own[0] - other[0]:8.3f}   "
+                f"{own[1]:9.1f}{other[1]:8.1f}{own[1] - other[1]:8.1f}"
+            )
+
+
+def main() -> int:
+    """Read the folder and print the report."""
+    parser = argparse.ArgumentParser(description="Check the truth of phantom videos.")
+    parser.add_argument("raw", type=Path, help="folder that `angie phantom` wrote")
+    parser.add_argument("--derangements", type=int, default=5, help="of motion against sound")
+    arguments = parser.parse_args()
+    videos = sorted(arguments.raw.glob("*/*.mp4"))
+    if len(videos) < 2:
+        print(f"{arguments.raw}: holds fewer than two videos; run `angie phantom` first",
+              file=sys.stderr)  # fmt: skip
+        return 2
+    report([read(video) for video in videos], arguments.derangements)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
