@@ -19,7 +19,7 @@ RATE = 24_000
 CONTROL = 200
 """Control frames a second."""
 
-_FINER = 5
+_FINER = 3
 """Settings of the formants for each control frame."""
 
 _UPPER = np.array([3400.0, 4300.0, 5500.0, 7000.0])
