@@ -72,7 +72,8 @@ def prepare(
         BadInput: no such video, an output that cannot be written, or nothing was kept.
     """
     output, config = Path(output).resolve(), config or IngestionConfig()
-    check_apart(output, videos)
+    if add or force:
+        check_apart(output, videos)
     check_place(output, add=add, force=force)
     dataset = Dataset(output) if add and output.exists() else None
     present = {} if dataset is None else _present(dataset)
