@@ -42,6 +42,9 @@ a limb lie closer together."""
 _PROBES = np.array([[0.15, 0.15], [0.85, 0.15], [0.15, 0.85], [0.85, 0.85]])
 """Places in the picture, in widths and heights, at which motion is measured."""
 
+_OTHER = 8.0
+"""Mean grey levels by which a picture in which nothing is found again shows another scene."""
+
 _HELD = 3
 """Pictures through which a reference must have been followed for its loss to mean something."""
 
@@ -90,15 +93,17 @@ class CameraTracker:
         self._scale = min(1.0, SIDE / max(grey.shape))
         small = cv2.resize(grey, None, fx=self._scale, fy=self._scale, interpolation=cv2.INTER_AREA)
         people = [face.scaled(self._scale) for face in faces]
-        self.lost = not self._follow(small, people)
+        followed = self._follow(small, people)
+        self.lost = not followed and self._differs(small)
         if self.lost:
             if self._held >= _HELD or not self._matrices:
                 self._breaks.append(len(self._matrices))
                 self._current = np.eye(3)
+        if followed:
+            self._held += 1
+        else:
             self._held = 0
             self._refer(small, people)
-        else:
-            self._held += 1
         self._previous = small
         self._matrices.extend([self._current] * frames)
 
@@ -124,6 +129,12 @@ class CameraTracker:
         matrices[:, :2, 2] *= scale
         height, width = (1, 1) if self._previous is None else self._previous.shape
         return CameraPath(matrices, self._breaks, width * scale, height * scale)
+
+    def _differs(self, small: np.ndarray) -> bool:
+        """Whether a picture shows another scene than the last, and not only a hand elsewhere."""
+        if self._previous is None:
+            return True
+        return float(cv2.absdiff(small, self._previous).mean()) > _OTHER
 
     def _refer(self, small: np.ndarray, people: Sequence[Face]) -> None:
         self._reference, self._base = small, self._current
@@ -152,7 +163,7 @@ class CameraTracker:
             # Nothing to hold on to: a still camera, until the picture shows something.
             self._held = 0
             self._refer(small, people)
-            return True
+            return not self._differs(small)
         matrix, kept = self._match(small)
         if matrix is None:
             self._refer(self._previous, people)
