@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -324,6 +325,7 @@ def _cores() -> int:
 
 def main() -> None:
     """Run the command; bad input is one line on standard error and exit status 2."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # what is half-written is removed
     try:
         app()
     except BadInput as error:
@@ -331,7 +333,8 @@ def main() -> None:
         sys.exit(2)
     except OSError as error:  # disk full, no permission, a name that is too long ...
         place = f"{error.filename}: " if error.filename else ""
-        console.print(f"angie: {place}{error.strerror or error}", style="red", highlight=False)
+        text = f"angie: {place}{error.strerror or error}"
+        console.print(text, style="red", highlight=False, markup=False, soft_wrap=True)
         sys.exit(2)
 
 

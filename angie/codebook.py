@@ -80,6 +80,8 @@ class Codebook(nn.Module):
         super().__init__()
         if update not in UPDATES:
             raise ValueError(f"codebook update is one of {', '.join(UPDATES)}, not {update!r}")
+        if not 0 <= decay < 1:
+            raise ValueError(f"decay lies between 0 and 1, not {decay}")
         self.update, self.decay, self.restart_below = update, decay, restart_below
         entries = torch.randn(codes, width) / width**0.5
         if update == "ema":

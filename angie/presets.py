@@ -2,6 +2,7 @@
 
 import dataclasses
 import difflib
+import math
 import types
 import typing
 from collections.abc import Mapping
@@ -172,6 +173,8 @@ def override(base: Preset, changes: Mapping[str, Any]) -> Preset:
         BadInput: an unknown key (the nearest known one is named) or a value of another type.
     """
     changes = dict(changes)
+    if "name" in changes:
+        raise BadInput("name: a preset's name stays; choose one with --preset")
     renderer = changes.get("renderer")
     if isinstance(renderer, Mapping) and "regions" in renderer:
         for part in ("vq", "refiner"):
@@ -222,7 +225,7 @@ def _convert(value: Any, hint: Any, name: str) -> Any:
         if value is None:
             return None
         return _convert(value, arguments[0], name)
-    elif hint is float and _is_number(value):
+    elif hint is float and _is_number(value) and math.isfinite(float(value)):
         return float(value)
     elif (
         isinstance(hint, type)

@@ -28,6 +28,12 @@ class Schedule:
     most_steps: int = 0
     clip: float = 1.0
 
+    def __post_init__(self) -> None:
+        if not 0 < self.rate < 1 or not all(0 <= beta < 1 for beta in self.betas):
+            raise ValueError("rate and betas must lie between 0 and 1")
+        if min(self.batch, self.epochs) < 1 or self.most_steps < 0 or self.clip <= 0:
+            raise ValueError("batch, epochs and clip must be positive")
+
     def steps(self, items: int) -> int:
         """Optimiser steps for a dataset of `items` windows."""
         steps = max(1, self.epochs * items // self.batch)

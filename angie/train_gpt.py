@@ -27,6 +27,10 @@ class GPTTraining:
     checks: int = 100
     patience: int = 20
 
+    def __post_init__(self) -> None:
+        if min(self.checks, self.patience) < 1:
+            raise ValueError("checks and patience must be positive")
+
 
 def train_gpt(
     folder: Path,

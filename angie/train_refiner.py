@@ -31,6 +31,10 @@ class RefinerTraining:
     drifting: float = 0.5
     checks: int = 50
 
+    def __post_init__(self) -> None:
+        if self.checks < 1 or not 0 <= self.drifting <= 1:
+            raise ValueError("checks must be positive, drifting a share")
+
 
 def pattern_windows(vq: VQMotionExtractor, windows: MotionWindows) -> MotionWindows:
     """Windows with `poses`, `mfcc` and the deltas of their pattern, `deltas` (T, 5K)."""

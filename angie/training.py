@@ -9,27 +9,32 @@ from pathlib import Path
 from typing import Any
 
 from lightning_fabric import Fabric
+from torch import nn
 
 from angie.bundle import UPSTREAM, Bundle
 from angie.clips import MotionClip, read_clips
 from angie.extraction import extract_dataset
+from angie.gpt import CoSpeechGPT
 from angie.presets import Preset, override
+from angie.refiner import Refiner
 from angie.statistics import MotionStatistics, measure
 from angie.train_gpt import train_gpt
 from angie.train_refiner import train_refiner
 from angie.train_vq import train_vq
+from angie.vq import VQMotionExtractor
 from angie.windows import WINDOW, MotionWindows
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
-from data_prep.output import check_output
+from data_prep.output import check_apart, check_output
 from data_prep.progress import console
 from data_prep.rates import FPS
 from data_prep.speaker import FACE_DOWN, SIDE_IN_FACES
 from mraa.allocator import keep_memory
 from mraa.losses import backend_of, load_vgg19
 from mraa.reconstruction import reconstruct
+from mraa.renderer import Renderer
 from mraa.run import RunConfig, launch, native_precision
-from mraa.training import train_renderer
+from mraa.training import load_initial, train_renderer
 
 STAGES = ("renderer", "motion", "vq", "gpt", "refiner")
 """Stages of training in their order; each makes one part of the bundle."""
@@ -58,6 +63,19 @@ class Trainer:
         names = ("dataset.json", "meta.csv")
         text = b"".join((self.dataset.path / name).read_bytes() for name in names)
         return hashlib.sha256(text).hexdigest()
+
+    def check_dataset(self, part: str) -> None:
+        """Refuse to go on from a part that was trained on other data.
+
+        Raises:
+            BadInput: the hash of the dataset that the part was trained on is another one.
+        """
+        trained_on = self.bundle.manifest["parts"][part]["report"].get("dataset_sha256")
+        if trained_on != self.data_digest:
+            raise BadInput(
+                f"{self.bundle.folder}: {part} was trained on another dataset than "
+                f"{self.dataset.path}; give that one, or --force to start anew"
+            )
 
     def publish(self, part: str, make: Callable[[], Any], **report: Any) -> None:
         """Put what `make` returns into the bundle as a part: once, whatever the processes."""
@@ -232,6 +250,7 @@ def train(
     """
     if stage not in (*STAGES, "all"):
         raise BadInput(f"--stage {stage}: there are {', '.join(STAGES)} and all")
+    check_apart(output, [dataset])
     data = Dataset(dataset)
     if not data.clips("train"):
         raise BadInput(f"{dataset}: has no clips to train on; prepare more videos")
@@ -246,11 +265,36 @@ def train(
     trainer = Trainer(data, Bundle.open(output), seed, run, resume, fabric)
     for name in STAGES if stage == "all" else (stage,):
         if stage == "all" and resume and trainer.bundle.has(PART_OF[name]):
+            trainer.check_dataset(PART_OF[name])
             console.print(f"{name}: done before")
             continue
         action: Callable[[], None] = getattr(trainer, name)
         action()
     return trainer.bundle
+
+
+def _try_out(settings: Preset) -> None:
+    """Build every part once: sizes that do not fit are told before anything is trained.
+
+    Raises:
+        BadInput: which part cannot be built, or initial weights that cannot be loaded.
+    """
+    parts: dict[str, Callable[[], nn.Module]] = {
+        "renderer": lambda: Renderer(settings.renderer),
+        "vq": lambda: VQMotionExtractor(settings.vq),
+        "gpt": lambda: CoSpeechGPT(settings.gpt),
+        "refiner": lambda: Refiner(settings.refiner),
+    }
+    for name, build in parts.items():
+        try:
+            model = build()
+        except (ValueError, RuntimeError, ArithmeticError, AssertionError, LookupError) as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise BadInput(f"{name}: no network can have these sizes ({reason})") from error
+        if any(weights.numel() == 0 for weights in model.parameters()):
+            raise BadInput(f"{name}: no network can have these sizes (a width of 0)")
+        if isinstance(model, Renderer) and settings.train_renderer.initial:
+            load_initial(model, Path(settings.train_renderer.initial))
 
 
 def _open_or_create(
@@ -266,6 +310,7 @@ def _open_or_create(
         settings = override(preset or Preset(), changes)
         if stage not in ("all", "renderer"):
             raise BadInput(f"{output}: has no renderer yet; run angie train --stage renderer first")
+        _try_out(settings)
         if settings.train_renderer.perceptual_weights:
             load_vgg19(Path(settings.train_renderer.perceptual_weights))
         if not exists and output.is_dir() and any(output.iterdir()):
@@ -283,7 +328,9 @@ def _open_or_create(
             f"{output}: made with --preset {bundle.preset.name}; leave --preset out to go on"
         )
     if changes:
-        bundle.preset = override(bundle.preset, changes)
+        changed = override(bundle.preset, changes)
+        _try_out(changed)
+        bundle.preset = changed
         bundle.manifest["config"] = dataclasses.asdict(bundle.preset)
         bundle.write()
     return bundle

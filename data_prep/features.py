@@ -126,7 +126,7 @@ def mfcc_windows(samples: np.ndarray) -> np.ndarray:
     padded = np.pad(samples, _REACH * SAMPLES_PER_FRAME)
     rows = cepstra(padded, (frames + 2 * _REACH) * per_frame)[:, 1:].astype(np.float32)
     windows = np.lib.stride_tricks.sliding_window_view(rows, MFCC_ROWS, axis=0)[::per_frame]
-    return np.ascontiguousarray(windows.transpose(0, 2, 1))
+    return windows.transpose(0, 2, 1).copy()
 
 
 def onset_times(samples: np.ndarray) -> np.ndarray:

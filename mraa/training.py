@@ -72,8 +72,12 @@ class RendererTraining:
     def __post_init__(self) -> None:
         if min(self.batch, self.epochs, self.repeats, self.sheet_every) < 1 or self.steps < 0:
             raise ValueError("batch, epochs, repeats and sheet_every must be positive")
-        if not 0 < self.rate < 1:
-            raise ValueError("rate must lie between 0 and 1")
+        if not 0 < self.rate < 1 or not all(0 <= beta < 1 for beta in self.betas):
+            raise ValueError("rate and betas must lie between 0 and 1")
+        if self.clip <= 0 or min(self.warmup_steps, self.warmup_gap, self.augmentation.zoom) < 0:
+            raise ValueError("clip must be positive, warm-up and zoom not negative")
+        if self.augmentation.zoom >= 1 or not self.perceptual_scales:
+            raise ValueError("zoom must lie below 1, and perceptual_scales name at least one")
         if self.warmup_size not in (64, 128, 256):
             raise ValueError("warmup_size is 64, 128 or 256")
 

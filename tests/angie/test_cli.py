@@ -167,3 +167,30 @@ def test_module_and_version():
         [sys.executable, "-m", "angie", "--version"], capture_output=True, text=True, check=True
     )
     assert result.stdout.startswith("angie 0.")
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("train_renderer.betas=[2,3]", "betas must lie"),
+        ("train_renderer.initial=/nonexistent", "not the weights"),
+        ("renderer.estimator.width=0", "a width of 0"),
+        ("gpt.heads=3", "not a multiple"),
+        ("vq.decay=2", "decay lies between"),
+        ("train_gpt.checks=0", "must be positive"),
+        ("train_vq.schedule.rate=nan", "a float is wanted"),
+        ("train_vq.schedule.batch=0", "must be positive"),
+        ("name=mine", "--preset"),
+    ],
+)
+def test_settings_that_cannot_work_leave_nothing(dataset, tmp_path, capsys, setting, words):
+    where = ["train", dataset.path, "-o", tmp_path / "bundle", "--preset", "tiny", setting]
+    status, out, err = call(capsys, *where)
+    assert status == 2 and out == "" and words in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_training_does_not_replace_its_dataset(dataset, capsys):
+    status, _, err = call(capsys, "train", dataset.path, "-o", dataset.path.parent, "--force")
+    assert status == 2 and "would replace the input" in err
+    assert dataset.clips("train")
