@@ -163,6 +163,8 @@ def parse_overrides(arguments: list[str]) -> dict[str, Any]:
                 raise BadInput(f"{argument}: give key=value or a .yaml file")
         except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
             raise BadInput(f"{argument}: cannot be read ({str(error).splitlines()[0]})") from error
+    if "name" in result:
+        raise BadInput("name: a preset's name stays; choose one with --preset")
     return result
 
 
@@ -173,8 +175,6 @@ def override(base: Preset, changes: Mapping[str, Any]) -> Preset:
         BadInput: an unknown key (the nearest known one is named) or a value of another type.
     """
     changes = dict(changes)
-    if "name" in changes:
-        raise BadInput("name: a preset's name stays; choose one with --preset")
     renderer = changes.get("renderer")
     if isinstance(renderer, Mapping) and "regions" in renderer:
         for part in ("vq", "refiner"):
