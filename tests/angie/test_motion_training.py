@@ -81,7 +81,7 @@ def test_steps_follow_from_epochs_or_a_limit():
     assert paper.steps(640) == 10_000 and paper.milestone_steps(640) == [5000, 8000]
     short = Schedule(rate=3e-4, milestones=(250, 400), most_steps=100)
     assert short.steps(640) == 100 and short.milestone_steps(640) == [50, 80]
-    assert short.steps(1) == 15 and Schedule(rate=1.0, epochs=1).steps(3) == 1
+    assert short.steps(1) == 15 and Schedule(rate=0.1, epochs=1).steps(3) == 1
 
 
 def test_the_best_weights_are_kept():
