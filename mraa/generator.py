@@ -76,13 +76,20 @@ class ImageGenerator(nn.Module):
     def decode(self, source: Tensor, features: list[Tensor], flow: Flow) -> Tensor:
         """A frame (B, 3, H, W) in [0, 1] from the source, its features and the flow."""
         warper = _Warper(flow, self.align_corners)
+        painted = self._paint(features, warper)
+        return warper.blend(source, painted) if self.skips else painted
+
+    def paint(self, features: list[Tensor], flow: Flow) -> Tensor:
+        """The generated picture (B, 3, H, W) in [0, 1], before the warped source is blended in."""
+        return self._paint(features, _Warper(flow, self.align_corners))
+
+    def _paint(self, features: list[Tensor], warper: _Warper) -> Tensor:
         warped, occlusion = warper(features[-1])
         x = self.bottleneck(warped * occlusion)
         for block, skip in zip(self.up_blocks, reversed(features[1:]), strict=True):
             x = block(warper.blend(skip, x) if self.skips else x)
         x = self.final(warper.blend(features[0], x) if self.skips else x)
-        x = torch.sigmoid(x.float())
-        return warper.blend(source, x) if self.skips else x
+        return torch.sigmoid(x.float())
 
     def forward(self, source: Tensor, flow: Flow) -> Tensor:
         """A frame (B, 3, H, W) in [0, 1] from the source (B, 3, H, W) and the flow."""
@@ -121,12 +128,18 @@ class LiteGenerator(nn.Module):
     def decode(self, source: Tensor, features: list[Tensor], flow: Flow) -> Tensor:
         """A frame (B, 3, H, W) in [0, 1] from the source, its features and the flow."""
         warper = _Warper(flow, self.align_corners)
+        return warper.blend(source, self._paint(features, warper))
+
+    def paint(self, features: list[Tensor], flow: Flow) -> Tensor:
+        """The generated picture (B, 3, H, W) in [0, 1], before the warped source is blended in."""
+        return self._paint(features, _Warper(flow, self.align_corners))
+
+    def _paint(self, features: list[Tensor], warper: _Warper) -> Tensor:
         half, quarter = features
         warped, occlusion = warper(quarter)
         x = self.up(self.bottleneck(warped * occlusion))
         x = self.final(warper.blend(half, x))
-        x = torch.sigmoid(F.pixel_shuffle(x.float(), 2))
-        return warper.blend(source, x)
+        return torch.sigmoid(F.pixel_shuffle(x.float(), 2))
 
     def forward(self, source: Tensor, flow: Flow) -> Tensor:
         """A frame (B, 3, H, W) in [0, 1] from the source (B, 3, H, W) and the flow."""
