@@ -8,7 +8,7 @@ RAW is what `angie phantom` wrote. Prints, by presenter and in all:
   stated 0.3 s late, as a control;
 - beat consistency and percentage of matched beats between true motion and its own sound, and
   between true motion and the sound of other videos, cut to the shorter of the two. `hands` scores
-  wrists and hands, `arms` the angles at shoulders and elbows. See `data_prep.phantom.consistency`.
+  wrists and hands, `arms` the angles at shoulders and elbows. See `data_prep.synchrony`.
 """
 
 import argparse
@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from data_prep import synchrony
 from data_prep.features import onset_times
 from data_prep.phantom import consistency as score
 from data_prep.rates import FPS, SAMPLE_RATE
@@ -84,9 +85,9 @@ def beats(clips: list[Clip], kind: str) -> list[Beats]:
         ).mean(0)
         for name in set(names)
     }
-    curves = [score.activity(c, usual[name]) for c, name in zip(changes, names, strict=True)]
+    curves = [synchrony.activity(c, usual[name]) for c, name in zip(changes, names, strict=True)]
     return [
-        Beats(score.minima(curve), score.smooth_minima(change.mean(1)))
+        Beats(synchrony.minima(curve, FPS), synchrony.smooth_minima(change.mean(1), FPS))
         for curve, change in zip(curves, changes, strict=True)
     ]
 
@@ -102,10 +103,10 @@ def compared(
         first, second = motion[i].consistency, motion[i].matched
         first, second = first[first < end], second[second < end]
         if len(first) and len(sound):
-            sums[:2] += len(sound) * score.beat_consistency(first, sound), len(sound)
+            sums[:2] += len(sound) * synchrony.beat_consistency(first, sound), len(sound)
         if len(second) and len(sound):
-            kept = score.spaced(sound)
-            sums[2:] += len(second) * score.matched_beats(second, kept), len(second)
+            kept = synchrony.spaced(sound)
+            sums[2:] += len(second) * synchrony.matched_beats(second, kept), len(second)
     return sums[0] / max(sums[1], 1), sums[2] / max(sums[3], 1)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import soxr
 
+from data_prep import synchrony
 from data_prep.features import onset_times
 from data_prep.phantom import consistency
 from data_prep.phantom.consistency import ACTIVE
@@ -14,23 +15,23 @@ from data_prep.rates import FPS, SAMPLE_RATE
 
 def test_beat_consistency_by_hand() -> None:
     motion = np.array([1.0, 2.0])
-    assert consistency.beat_consistency(motion, np.array([1.0, 2.0])) == 1
+    assert synchrony.beat_consistency(motion, np.array([1.0, 2.0])) == 1
     # one onset at no distance, one at sigma: (1 + exp(-1/2)) / 2
-    assert consistency.beat_consistency(motion, np.array([1.0, 2.1])) == pytest.approx(0.80326533)
+    assert synchrony.beat_consistency(motion, np.array([1.0, 2.1])) == pytest.approx(0.80326533)
 
 
 def test_matched_beats_use_every_onset_once_and_in_order() -> None:
     sound = np.array([1.0, 2.0])
-    assert consistency.matched_beats(np.array([0.9, 1.1, 2.1]), sound) == pytest.approx(200 / 3)
-    assert consistency.matched_beats(np.array([1.25, 2.0]), sound) == 50
-    np.testing.assert_allclose(consistency.spaced(np.array([0, 0.1, 0.2, 0.5])), [0, 0.2, 0.5])
+    assert synchrony.matched_beats(np.array([0.9, 1.1, 2.1]), sound) == pytest.approx(200 / 3)
+    assert synchrony.matched_beats(np.array([1.25, 2.0]), sound) == 50
+    np.testing.assert_allclose(synchrony.spaced(np.array([0, 0.1, 0.2, 0.5])), [0, 0.2, 0.5])
 
 
 def test_minima_lie_below_both_neighbours_and_well_below_one() -> None:
     curve = np.array([0, 0, 1, 0.5, 0.51, 0.5, 0.49, 0.5, 1, 0, 1])
     # at 3 it is 0.5 below frame 2; at 6 only 0.01 below both; the last two frames have none
-    assert (consistency.minima(curve) * FPS).tolist() == [3, 9]
-    assert (consistency.minima(curve, 0.005) * FPS).tolist() == [3, 6, 9]
+    assert (synchrony.minima(curve, FPS) * FPS).tolist() == [3, 9]
+    assert (synchrony.minima(curve, FPS, 0.005) * FPS).tolist() == [3, 6, 9]
 
 
 def test_changes_are_those_of_hands_and_arms() -> None:
@@ -60,12 +61,12 @@ def test_motion_keeps_time_with_its_own_sound_and_not_with_another() -> None:
     scores: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
     for i, shot in enumerate(shots):
         steps = consistency.steps(shot.joints.points)
-        beats = consistency.minima(consistency.activity(steps, steps.mean(0)))
-        ends = consistency.smooth_minima(steps.mean(1))
+        beats = synchrony.minima(synchrony.activity(steps, steps.mean(0)), FPS)
+        ends = synchrony.smooth_minima(steps.mean(1), FPS)
         for j, heard in enumerate(onsets):
             heard = heard[heard < end]
-            consistent = consistency.beat_consistency(beats[beats < end], heard)
-            matched = consistency.matched_beats(ends[ends < end], consistency.spaced(heard))
+            consistent = synchrony.beat_consistency(beats[beats < end], heard)
+            matched = synchrony.matched_beats(ends[ends < end], synchrony.spaced(heard))
             scores[i == j].append((consistent, matched))
     own, other = np.mean(scores[True], 0), np.mean(scores[False], 0)
     assert own[0] - other[0] > 0.15

@@ -1,0 +1,43 @@
+"""A score and what it was computed from, or why it could not be computed."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Score:
+    """One number of a report.
+
+    Attributes:
+        value: the score, finite; None when it cannot be computed.
+        reason: why there is no value; empty when there is one.
+        counts: what it was computed from, such as clips, windows and beats.
+        warning: why the value is to be read with care; empty when it is sound.
+    """
+
+    value: float | None
+    reason: str = ""
+    counts: Mapping[str, int] = field(default_factory=dict)
+    warning: str = ""
+
+    def __post_init__(self) -> None:
+        if (self.value is None) == (not self.reason):
+            raise ValueError("a score has either a value or a reason why it has none")
+        if self.value is not None and not math.isfinite(self.value):
+            raise ValueError(f"a score is a finite number, not {self.value}")
+
+    @classmethod
+    def missing(cls, reason: str, **counts: int) -> "Score":
+        """A score that cannot be computed."""
+        return cls(None, reason, counts)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for a report."""
+        return {
+            "value": self.value,
+            "reason": self.reason,
+            "counts": dict(self.counts),
+            "warning": self.warning,
+        }
