@@ -163,11 +163,14 @@ def prepare(
     ] = None,
     jobs: Jobs = 0,
     add: Annotated[
-        bool, typer.Option("--add", help="Put the videos into the dataset that is there.")
+        bool, typer.Option("--add", help="Put other videos into the dataset that is there.")
     ] = False,
     force: Force = False,
 ) -> None:
-    """Cut videos of a speaker into a dataset of clips; a killed run goes on when repeated."""
+    """Cut videos of a speaker into a dataset of clips.
+
+    Repeated, the command goes on where it was killed, or makes what videos have come since.
+    """
     from data_prep.outcome import IngestionConfig
     from data_prep.prepare import prepare as make
 

@@ -28,7 +28,7 @@ from data_prep.source import Source, find_sources, name_sources, sha256
 from data_prep.split import BY_SOURCE, split_clips
 from data_prep.summary import Summary
 from data_prep.transcript import find_transcript
-from data_prep.workplace import Workplace, check_place, workplace
+from data_prep.workplace import Workplace, check_place, making, workplace
 
 _MESSAGE_REASONS = 3
 
@@ -56,6 +56,7 @@ def prepare(
 
     A video that cannot be used is listed with the reason and the others go on. A run that was
     killed is continued by the next one with the same output: what is done is not done again.
+    The same call on a finished dataset makes the videos that have come since, and nothing else.
 
     Args:
         videos: files, or folders that are searched through all their levels.
@@ -69,13 +70,15 @@ def prepare(
         force: replace an existing dataset.
 
     Raises:
-        BadInput: no such video, an output that cannot be written, or nothing was kept.
+        BadInput: no such video, an output that cannot be written or that holds what this call
+            would not make (and neither `add` nor `force`), or nothing was kept.
     """
     output, config = Path(output).resolve(), config or IngestionConfig()
-    if add or force:
+    if output.exists():
         check_apart(output, videos)
-    check_place(output, add=add, force=force)
-    dataset = Dataset(output) if add and output.exists() else None
+    check_place(output)
+    there = output.exists()
+    dataset = Dataset(output) if there and not force else None
     present = {} if dataset is None else _present(dataset)
     intervals, missing = read_intervals(pats, speaker) if pats is not None else ([], [])
     if pats is None:
@@ -83,11 +86,13 @@ def prepare(
     else:
         sources, absent = pats_sources(intervals, videos)
         missing += absent
-    with workplace(output, add=add, force=force) as place:
-        found, doubles = _settle_names(_hash(sources, jobs), present)
-        orders = [_order(entry, config, place) for entry in found]
-        wanted = {name: record.key for name, record in present.items()}
-        wanted.update((order.source.name, order.key) for order in orders)
+    found, doubles = _settle_names(_hash(sources, jobs), present)
+    orders = [_order(entry, config, output) for entry in found]
+    wanted = {name: record.key for name, record in present.items()}
+    wanted.update((order.source.name, order.key) for order in orders)
+    if dataset is not None and not add:
+        _check_same(output, present, orders)
+    with workplace(output, replace=there) as place:
         place.settle(wanted, None if dataset is None else output)
         done_before = _make(orders, place, jobs)
         records = [place.records[name] for name in sorted(place.records)]
@@ -132,6 +137,18 @@ def _present(dataset: Dataset) -> dict[str, Record]:
     return records
 
 
+def _check_same(output: Path, present: dict[str, Record], orders: list[Order]) -> None:
+    """Refuse to touch a dataset unless all that it holds would be made the same way now."""
+    keys = {order.source.name: order.key for order in orders}
+    for name, record in present.items():
+        if record.key and keys.get(name) != record.key:
+            why = "was made otherwise" if name in keys else "is not among these videos"
+            raise BadInput(
+                f"{output}: exists already, and {name} in it {why}; "
+                "--add keeps what it holds, --force replaces it"
+            )
+
+
 def _hash(sources: list[Source], jobs: int) -> list[_Found]:
     def found(source: Source) -> _Found:
         try:
@@ -173,7 +190,7 @@ def _identity(content: str, source: Source) -> tuple[str, str]:
     return content or source.path.name, source.speaker
 
 
-def _order(found: _Found, config: IngestionConfig, place: Workplace) -> Order:
+def _order(found: _Found, config: IngestionConfig, output: Path) -> Order:
     source = found.source
     transcript = find_transcript(source.path)
     told = ""
@@ -183,7 +200,7 @@ def _order(found: _Found, config: IngestionConfig, place: Workplace) -> Order:
         except OSError as error:
             told = f"{transcript.name}: {error.strerror}"
     key = key_of(source, found.sha256, told, config)
-    return Order(source, found.sha256, key, config, transcript, place.making(source.name))
+    return Order(source, found.sha256, key, config, transcript, making(output, source.name))
 
 
 def _splits_before(dataset: Dataset | None) -> dict[str, str]:

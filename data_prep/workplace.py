@@ -90,14 +90,10 @@ class Workplace:
                 (self.folder / inside).parent.mkdir(parents=True, exist_ok=True)
                 _link(path, self.folder / inside)
 
-    def making(self, name: str) -> Path:
-        """The folder in which a source is made."""
-        return self.folder / _MAKING / name
-
     def put(self, record: Record) -> None:
         """Move the files of a source from where it was made into place, its record last."""
         self._forget(record.name)
-        made = self.making(record.name)
+        made = self.folder / _MAKING / record.name
         for path in record.files:
             os.replace(made / path, self.folder / path)
         if record.sheet:
@@ -132,27 +128,27 @@ def _old(output: Path) -> Path:
     return output.with_name(f".{output.name}.old")
 
 
-def check_place(output: Path, *, add: bool, force: bool) -> None:
+def making(output: Path, name: str) -> Path:
+    """The folder in which a source of a dataset is made."""
+    return _part(output) / _MAKING / name
+
+
+def check_place(output: Path) -> None:
     """Refuse an output where no dataset can be made, before any work is done for it.
 
     Raises:
-        BadInput: it is there already and neither `add` nor `force` is given, it is no dataset,
-            or it cannot be written.
+        BadInput: it is there already and no dataset, or it cannot be written.
     """
     old = _old(output)
     if old.exists() and not output.exists():  # killed between the two moves at the end
         os.replace(old, output)
-    if output.exists() and not (add or force):
-        raise BadInput(
-            f"{output}: exists already; --add puts more videos into it, --force replaces it"
-        )
     check_output(output, force=True)
     if output.exists() and not (output / MANIFEST).is_file():
         raise BadInput(f"{output}: holds other things (no {MANIFEST}); name a new folder")
 
 
 @contextmanager
-def workplace(output: Path, *, add: bool = False, force: bool = False) -> Iterator[Workplace]:
+def workplace(output: Path, *, replace: bool) -> Iterator[Workplace]:
     """Yield the place in which a dataset is made; it becomes `output` if the block succeeds.
 
     After `BadInput` nothing is left of it. After any other interruption it stays, and the next
@@ -160,14 +156,15 @@ def workplace(output: Path, *, add: bool = False, force: bool = False) -> Iterat
 
     Args:
         output: the dataset.
-        add: a dataset that is there may be replaced by one that goes on from it.
-        force: a dataset that is there may be replaced.
+        replace: one that is there may be replaced.
 
     Raises:
-        BadInput: as `check_place`, or another run is making it.
+        BadInput: as `check_place`, or another run is making it, or has made it meanwhile.
     """
     output = Path(output).resolve()
-    check_place(output, add=add, force=force)
+    check_place(output)
+    if output.exists() and not replace:
+        raise BadInput(f"{output}: another run has just made it; look at it and run this again")
     part, old = _part(output), _old(output)
     part.mkdir(exist_ok=True)
     useless: BadInput | None = None

@@ -120,7 +120,7 @@ def test_nothing_is_left_behind(tmp_path: Path, person: Draw) -> None:
         (["in"], "data", "silent.mp4: has no sound"),
         (["none.mp4"], "data", "no such file"),
         (["in"], "no/such/data", "does not exist"),
-        (["in"], "in", "--add"),
+        (["in"], "in", "would replace the input"),
     ]:
         with pytest.raises(BadInput, match=reason):
             prepare([tmp_path / v for v in videos], tmp_path / output, jobs=1)

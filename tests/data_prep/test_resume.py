@@ -122,8 +122,6 @@ def test_a_later_video_is_added_alone(
     (output / "notes.txt").write_text("mine")
     splits = {clip.id: clip.split for clip in Dataset(output).clips()}
     before = {path: path.stat().st_ino for path in output.glob("*/ann_*")}
-    with pytest.raises(BadInput, match="--add"):
-        again(talks, output)
     some = tmp_path / "ann"
     shutil.copytree(talks, some)
     write_talk(some / "2-later.mp4", person, 7)
@@ -144,6 +142,30 @@ def test_a_later_video_is_added_alone(
     assert summary.done_before == 0
     assert sorted({c.source for c in summary.clips} - {c.source for c in clips}) == ["ann_0-2"]
     assert len(summary.clips) == 5
+
+
+def test_a_plain_second_run_makes_only_what_is_new(
+    talks: Path, undisturbed: Path, tmp_path: Path, person: Draw
+) -> None:
+    output, some = tmp_path / "data", tmp_path / "ann"
+    shutil.copytree(undisturbed, output)
+    shutil.copytree(talks, some)
+    before = {path: path.stat().st_ino for path in output.glob("*/ann_*")}
+    assert again(some, output).done_before == 3
+    assert hashes(output) == hashes(undisturbed)
+    write_talk(some / "3.mp4", person, 7)
+    summary = again(some, output)
+    assert summary.done_before == 3 and summary.moved == 0
+    assert sorted({clip.source for clip in summary.clips}) == ["ann_0", "ann_1", "ann_2", "ann_3"]
+    assert all(path.stat().st_ino == inode for path, inode in before.items())
+    made = hashes(output)
+    with pytest.raises(BadInput, match=r"ann_0 in it was made otherwise; --add .* --force"):
+        prepare([some], output, config=IngestionConfig(crop=Crop(0, 0, 360)))
+    (some / "1.mp4").unlink()
+    with pytest.raises(BadInput, match="ann_1 in it is not among these videos; --add"):
+        again(some, output)
+    assert hashes(output) == made
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ann", "data"]
 
 
 def test_what_has_changed_is_made_again(talks: Path, undisturbed: Path, tmp_path: Path) -> None:
