@@ -105,7 +105,8 @@ class Dataset:
                 "make one with angie prepare"
             ) from error
         except (ValueError, KeyError, TypeError) as error:
-            raise BadInput(f"{path}: the dataset is damaged; prepare it again with --force") from error
+            what = "the dataset is damaged; prepare it again with --force"
+            raise BadInput(f"{path}: {what}") from error
         if version > FORMAT:
             raise BadInput(f"{path}: made by a newer angie (format {version}); update angie")
 
