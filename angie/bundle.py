@@ -153,7 +153,7 @@ class Bundle:
     def sizes_of(self, part: str) -> str:
         """Hash of the settings that make a part's architecture."""
         section = _SECTION.get(part)
-        value = {} if section is None else dataclasses.asdict(getattr(self.preset, section))
+        value = {} if section is None else _sizes(getattr(self.preset, section))
         return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
     def hash_of(self, part: str) -> str:
@@ -247,6 +247,21 @@ class Bundle:
         except (SafetensorError, RuntimeError) as error:
             raise BadInput(f"{path}: does not fit the sizes in bundle.json") from error
         return model.eval().requires_grad_(False)
+
+
+def _sizes(config: Any) -> dict[str, Any]:
+    """Settings of an architecture as a mapping.
+
+    A setting that came after bundles had been made is marked `metadata={"later": True}`; at its
+    default, which must mean what was before it, it does not count: those bundles stay whole.
+    """
+    values: dict[str, Any] = {}
+    for entry in dataclasses.fields(config):
+        value = getattr(config, entry.name)
+        if entry.metadata.get("later") and value == entry.default:
+            continue
+        values[entry.name] = _sizes(value) if dataclasses.is_dataclass(value) else value
+    return values
 
 
 def load_weights(model: nn.Module, tensors: Mapping[str, Tensor]) -> None:

@@ -5,7 +5,7 @@ import shutil
 import pytest
 import torch
 
-from angie.bundle import UPSTREAM, Bundle, halve, load_weights
+from angie.bundle import UPSTREAM, Bundle, _sizes, halve, load_weights
 from angie.presets import preset
 from angie.summary import describe
 from angie.training import train
@@ -138,3 +138,17 @@ def test_resume_keeps_finished_stages(dataset, bundle, capsys):
     again = train(dataset.path, bundle.folder, resume=True)
     assert {part: again.hash_of(part) for part in UPSTREAM} == before
     assert capsys.readouterr().err.count("done before") == 5
+
+
+def test_a_later_setting_at_its_default_leaves_older_bundles_whole():
+    @dataclasses.dataclass(frozen=True)
+    class Older:
+        width: int = 8
+
+    @dataclasses.dataclass(frozen=True)
+    class Newer:
+        width: int = 8
+        depth: int = dataclasses.field(default=1, metadata={"later": True})
+
+    assert _sizes(Newer()) == _sizes(Older()) == {"width": 8}
+    assert _sizes(Newer(depth=2)) == {"width": 8, "depth": 2}
