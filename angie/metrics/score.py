@@ -15,12 +15,14 @@ class Score:
         reason: why there is no value; empty when there is one.
         counts: what it was computed from, such as clips, windows and beats.
         warning: why the value is to be read with care; empty when it is sound.
+        deviation: standard deviation over clips, where the score's source states one.
     """
 
     value: float | None
     reason: str = ""
     counts: Mapping[str, int] = field(default_factory=dict)
     warning: str = ""
+    deviation: float | None = None
 
     def __post_init__(self) -> None:
         if (self.value is None) == (not self.reason):
@@ -40,4 +42,5 @@ class Score:
             "reason": self.reason,
             "counts": dict(self.counts),
             "warning": self.warning,
+            "deviation": self.deviation,
         }
