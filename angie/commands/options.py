@@ -1,0 +1,74 @@
+"""What the commands share: options of one meaning everywhere, and reading what was typed."""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from data_prep.errors import BadInput
+
+if TYPE_CHECKING:
+    from data_prep.speaker import Crop
+
+Force = Annotated[bool, typer.Option("--force", help="Replace an existing output.")]
+Seed = Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Everything random follows from it.")]
+Device = Annotated[str, typer.Option(help="auto, cpu, cuda or mps.")]
+Jobs = Annotated[int, typer.Option(min=0, help="Processes; 0 for one a core.")]
+
+
+def want_file(path: Path, what: str) -> None:
+    """Refuse a path that is no file; `what` it should be is told.
+
+    Raises:
+        BadInput: missing, or a folder.
+    """
+    if not path.exists():
+        raise BadInput(f"{path}: no such file; give the {what}")
+    if path.is_dir():
+        raise BadInput(f"{path}: is a folder; give the {what}")
+
+
+def square_of(text: str) -> "Crop":
+    """The square that `--crop` names: x,y,size or x,y,w,h with equal sides.
+
+    Raises:
+        BadInput: anything else.
+    """
+    from data_prep.speaker import Crop
+
+    try:
+        x, y, size, *height = (int(part) for part in text.split(","))
+    except ValueError:
+        raise BadInput(f"--crop {text}: give x,y,size in whole pixels") from None
+    if len(height) > 1 or size < 1:
+        raise BadInput(f"--crop {text}: give x,y,size in whole pixels, the size above 0")
+    if height not in ([], [size]):
+        raise BadInput(f"--crop {text}: is no square; width and height must be equal")
+    return Crop(x, y, size)
+
+
+def device_of(name: str) -> str:
+    """The torch device that `--device` names; "auto" takes the fastest there is.
+
+    Raises:
+        BadInput: unknown, or not on this machine.
+    """
+    import torch
+
+    available = {"cpu": True, "cuda": torch.cuda.is_available()}
+    available["mps"] = torch.backends.mps.is_available()
+    if name == "auto":
+        return next(d for d in ("cuda", "mps", "cpu") if available[d])
+    kind, _, number = name.partition(":")
+    count = torch.cuda.device_count() if kind == "cuda" else 1
+    numbered = not number or (number.isdecimal() and int(number) < count)
+    if not available.get(kind, False) or not numbered:
+        usable = ", ".join(d for d, ok in available.items() if ok)
+        raise BadInput(f"--device {name}: not on this machine; there is {usable}")
+    return name
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
