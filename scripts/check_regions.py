@@ -1,0 +1,122 @@
+"""How well the regions of a bundle explain the phantom's true joints, and what it reconstructs.
+
+    python scripts/check_regions.py RAW DATASET BUNDLE [STRIDE]
+
+RAW is what `angie phantom` wrote, DATASET what `angie prepare` made of it, BUNDLE one whose
+renderer was trained on DATASET without the truth. A linear map from the K shifts of a frame to the
+joints is fitted on the training clips, and predicts head, elbows and wrists on the test clips:
+
+    R^2 = 1 - sum |p - p^|^2 / sum |p - mean p|^2
+
+for each joint, x and y together. "all" takes the mean over all test frames, "speaker" the mean of
+each speaker's test frames, so that knowing who is seen earns nothing. The baseline is the same map
+from as many numbers (2 K) that do without regions: principal components of the picture at 32x32.
+"""
+
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+
+from angie.bundle import Bundle
+from data_prep.dataset import Clip, Dataset
+from data_prep.rates import FPS
+from mraa.reconstruction import reconstruct
+from mraa.regions import RegionEstimator
+from mraa.renderer import from_pixels
+
+JOINTS = {
+    "head": ("nose",),
+    "elbows": ("right_elbow", "left_elbow"),
+    "wrists": ("right_wrist", "left_wrist"),
+}
+"""Joints that are predicted, by the name of their row."""
+
+NAMES = [name for group in JOINTS.values() for name in group]
+
+
+def truths(raw: Path) -> dict[str, np.ndarray]:
+    """Joints (T, J, 2) in pixels of every video, in the order of `NAMES`."""
+    found = {}
+    for path in sorted(raw.rglob("*.truth.npz")):
+        with np.load(path, allow_pickle=False) as file:
+            names = [str(name) for name in file["joint_names"]]
+            found[path.name.split(".")[0]] = file["joints"][:, [names.index(n) for n in NAMES]]
+    return found
+
+
+class Frames:
+    """Every `stride`-th frame of some clips: regions, small pictures, joints, speakers."""
+
+    def __init__(self, dataset: Dataset, clips: list[Clip], joints: dict[str, np.ndarray]) -> None:
+        self.dataset, self.clips, self.joints = dataset, clips, joints
+        self.crops = {s["name"]: s["crop"] for s in dataset.manifest["sources"]}
+
+    def read(self, estimator: RegionEstimator, stride: int) -> tuple[np.ndarray, ...]:
+        """Shifts (n, 2K), pictures (n, 3072), joints (n, J, 2) in [-1, 1], speakers (n,)."""
+        rows: list[tuple[np.ndarray, ...]] = []
+        for clip in self.clips:
+            store, crop = self.dataset.frames(clip), self.crops[clip.source]
+            truth = (self.joints[clip.source] - [crop["x"], crop["y"]]) / crop["size"] * 2 - 1
+            numbers = range(0, len(store), stride)
+            frames = np.stack([store[i] for i in numbers])
+            with torch.no_grad():
+                shift = estimator(from_pixels(torch.from_numpy(frames))).shift
+            small = [cv2.resize(f, (32, 32), interpolation=cv2.INTER_AREA).ravel() for f in frames]
+            first = round(clip.start * FPS)
+            moments = np.minimum([first + i for i in numbers], len(truth) - 1)
+            who = np.full(len(frames), self.dataset.speakers().index(clip.speaker))
+            rows.append((shift.flatten(1).numpy(), np.stack(small) / 255.0, truth[moments], who))
+        return tuple(np.concatenate(column) for column in zip(*rows, strict=True))
+
+
+def linear_map(known: np.ndarray, wanted: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Least-squares map with an offset from `known` (n, a) to `wanted` (n, b), applied to `seen`."""
+    ones = np.ones((len(known), 1))
+    weights = np.linalg.lstsq(np.hstack([known, ones]), wanted, rcond=None)[0]
+    return np.hstack([seen, np.ones((len(seen), 1))]) @ weights
+
+
+def explained(truth: np.ndarray, guess: np.ndarray, who: np.ndarray) -> dict[str, list[float]]:
+    """R^2 of each row of `JOINTS` and their mean over joints: [all, speaker]."""
+    error = ((truth - guess) ** 2).sum(axis=(0, 2))
+    within = np.concatenate([truth[who == w] - truth[who == w].mean(0) for w in np.unique(who)])
+    spreads = [((truth - truth.mean(0)) ** 2).sum(axis=(0, 2)), (within**2).sum(axis=(0, 2))]
+    scores = np.stack([1 - error / spread for spread in spreads])  # (2, J)
+    table = {
+        row: scores[:, [NAMES.index(n) for n in group]].mean(1).tolist()
+        for row, group in JOINTS.items()
+    }
+    return {**table, "mean": scores.mean(1).tolist()}
+
+
+def main() -> None:
+    """Print both tables in Markdown."""
+    raw, dataset, bundle = Path(sys.argv[1]), Dataset(Path(sys.argv[2])), Bundle.open(sys.argv[3])
+    stride = int(sys.argv[4]) if len(sys.argv) > 4 else 5
+    joints, renderer = truths(raw), bundle.renderer()
+    train = Frames(dataset, dataset.clips("train"), joints).read(renderer.estimator, stride)
+    test = Frames(dataset, dataset.clips("test"), joints).read(renderer.estimator, stride)
+    centre = train[1].mean(0)
+    axes = np.linalg.svd(train[1][::3] - centre, full_matrices=False)[2][: train[0].shape[1]]
+    inputs = {
+        "regions": (train[0], test[0]),
+        "components of the picture": ((train[1] - centre) @ axes.T, (test[1] - centre) @ axes.T),
+    }
+    print(f"{len(train[0])} frames to fit, {len(test[0])} of {len(dataset.clips('test'))} clips\n")
+    print("| R^2, all / speaker | " + " | ".join([*JOINTS, "mean"]) + " |")
+    print("|---" * (len(JOINTS) + 2) + "|")
+    wanted = train[2].reshape(len(train[2]), -1)
+    for name, (known, seen) in inputs.items():
+        guess = linear_map(known, wanted, seen).reshape(test[2].shape)
+        scores = explained(test[2], guess, test[3])
+        cells = [f"{a:.3f} / {b:.3f}" for a, b in scores.values()]
+        print(f"| {name} | " + " | ".join(cells) + " |")
+    score = reconstruct(renderer, dataset, dataset.clips("test"))
+    print(f"\nreconstruction from the first frame, {score.frames} frames: {score.as_dict()}")
+
+
+if __name__ == "__main__":
+    main()
