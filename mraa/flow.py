@@ -23,6 +23,8 @@ class Flow:
     """(B, K + 1, h, w) float32, sums to 1 over regions; index 0 is the background."""
     blend: Tensor
     """(B, 3, h, w) float32, the small source deformed by every region and blended by the masks."""
+    features: Tensor
+    """(B, C, h, w), what masks and occlusion are made of: both poses and the deformed sources."""
 
 
 def region_heatmap(regions: Regions, height: int, width: int) -> Tensor:
@@ -150,4 +152,5 @@ class FlowPredictor(nn.Module):
             masks = torch.softmax(mask_logits.float(), dim=1)
             flow = torch.einsum("bkhw,bkhwc->bhwc", masks, motions)
             blend = torch.einsum("bkhw,bkchw->bchw", masks, deformed)
-            return Flow(flow, torch.sigmoid(occlusion_logits.float()), masks, blend)
+            occlusion = torch.sigmoid(occlusion_logits.float())
+            return Flow(flow, occlusion, masks, blend, features)

@@ -144,3 +144,69 @@ class LiteGenerator(nn.Module):
     def forward(self, source: Tensor, flow: Flow) -> Tensor:
         """A frame (B, 3, H, W) in [0, 1] from the source (B, 3, H, W) and the flow."""
         return self.decode(source, self.encode(source), flow)
+
+
+class DeepGenerator(nn.Module):
+    """A slim generator that works mostly at an eighth of the resolution and knows the pose.
+
+    As `LiteGenerator`, one level deeper: residual blocks at an eighth see four times the area at a
+    quarter of the cost. The features of the flow predictor, which tell where the limbs of the new
+    frame are, join the warped features, so that what the source does not show is painted for the
+    pose at hand.
+
+    Args:
+        width: channels at an eighth of the resolution (half at a quarter, a quarter at a half).
+        bottleneck_blocks: residual blocks at an eighth.
+        flow_channels: channels of `Flow.features`.
+        refine_blocks: residual blocks at a quarter.
+        align_corners: grid convention of the warps.
+    """
+
+    def __init__(
+        self,
+        width: int = 128,
+        bottleneck_blocks: int = 6,
+        flow_channels: int = 116,
+        refine_blocks: int = 2,
+        align_corners: bool = True,
+    ) -> None:
+        super().__init__()
+        half, quarter = width // 4, width // 2
+        self.first = SameBlock(12, half)
+        self.down_blocks = nn.ModuleList([DownBlock(half, quarter), DownBlock(quarter, width)])
+        self.pose = SameBlock(flow_channels, quarter, kernel=1)
+        self.pose_down = SameBlock(quarter, width)
+        self.bottleneck = nn.Sequential(*(PostResBlock(width) for _ in range(bottleneck_blocks)))
+        self.up_blocks = nn.ModuleList([UpBlock(width, quarter), UpBlock(quarter, half)])
+        self.refine = nn.Sequential(*(PostResBlock(quarter) for _ in range(refine_blocks)))
+        self.final = nn.Conv2d(half, 12, 3, padding=1)
+        self.align_corners = align_corners
+
+    def encode(self, source: Tensor) -> list[Tensor]:
+        """Features of the source (B, 3, H, W), half resolution first; once a photo."""
+        features = [self.first(F.pixel_unshuffle(source, 2))]
+        for block in self.down_blocks:
+            features.append(block(features[-1]))
+        return features
+
+    def decode(self, source: Tensor, features: list[Tensor], flow: Flow) -> Tensor:
+        """A frame (B, 3, H, W) in [0, 1] from the source, its features and the flow."""
+        warper = _Warper(flow, self.align_corners)
+        return warper.blend(source, self._paint(features, flow, warper))
+
+    def paint(self, features: list[Tensor], flow: Flow) -> Tensor:
+        """The generated picture (B, 3, H, W) in [0, 1], before the warped source is blended in."""
+        return self._paint(features, flow, _Warper(flow, self.align_corners))
+
+    def _paint(self, features: list[Tensor], flow: Flow, warper: _Warper) -> Tensor:
+        half, quarter, eighth = features
+        pose = self.pose(F.interpolate(flow.features, size=quarter.shape[2:]))
+        warped, occlusion = warper(eighth)
+        x = self.bottleneck(warped * occlusion + self.pose_down(F.avg_pool2d(pose, 2)))
+        x = self.refine(warper.blend(quarter, self.up_blocks[0](x)) + pose)
+        x = self.final(warper.blend(half, self.up_blocks[1](x)))
+        return torch.sigmoid(F.pixel_shuffle(x.float(), 2))
+
+    def forward(self, source: Tensor, flow: Flow) -> Tensor:
+        """A frame (B, 3, H, W) in [0, 1] from the source (B, 3, H, W) and the flow."""
+        return self.decode(source, self.encode(source), flow)

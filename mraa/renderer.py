@@ -9,7 +9,7 @@ from mraa.affine import ROOTS
 from mraa.avd import AvdNetwork
 from mraa.background import PARAMETERS, BackgroundPredictor
 from mraa.flow import Flow, FlowPredictor
-from mraa.generator import ImageGenerator, LiteGenerator
+from mraa.generator import DeepGenerator, ImageGenerator, LiteGenerator
 from mraa.regions import RegionEstimator, Regions
 
 
@@ -24,7 +24,7 @@ class HourglassConfig:
 
 @dataclass(frozen=True)
 class GeneratorConfig:
-    """Sizes of the image generator; `design` is "paper" (MRAA) or "lite" (slim)."""
+    """Sizes of the image generator; `design` is "paper" (MRAA), or "lite" or "deep" (slim)."""
 
     design: str = "paper"
     width: int = 64
@@ -61,8 +61,8 @@ class RendererConfig:
         for name, known in modes.items():
             if getattr(self, name) not in known:
                 raise ValueError(f"{name} is one of {', '.join(known)}")
-        if self.generator.design not in ("paper", "lite"):
-            raise ValueError("generator.design is paper or lite")
+        if self.generator.design not in ("paper", "lite", "deep"):
+            raise ValueError("generator.design is paper, lite or deep")
         if self.regions < 1 or not self.temperature > 0:
             raise ValueError("regions and temperature must be positive")
         for name in ("estimator_scale", "flow_scale", "background_scale"):
@@ -169,9 +169,16 @@ def from_pixels(frames: Tensor) -> Tensor:
     return frames.permute(0, 3, 1, 2).float() / 255
 
 
-def make_generator(config: RendererConfig) -> ImageGenerator | LiteGenerator:
+def make_generator(config: RendererConfig) -> ImageGenerator | LiteGenerator | DeepGenerator:
     """The image generator that a configuration names."""
     sizes = config.generator
+    if sizes.design == "deep":
+        return DeepGenerator(
+            width=sizes.width,
+            bottleneck_blocks=sizes.bottleneck_blocks,
+            flow_channels=config.flow.width + 4 * (config.regions + 1),
+            align_corners=config.align_corners,
+        )
     if sizes.design == "lite":
         return LiteGenerator(sizes.width, sizes.bottleneck_blocks, config.align_corners)
     return ImageGenerator(
