@@ -56,7 +56,7 @@ def test_the_number_of_regions_reaches_every_part():
         ("renderer=5", "holds several settings"),
         ("train_renderer.betas=0.5", "tuple"),
         ("renderer.affine_mode=foo", "affine_mode is one of"),
-        ("renderer.generator.design=foo", "paper or lite"),
+        ("renderer.generator.design=foo", "paper, lite or deep"),
         ("renderer.flow_scale=0.3", "1 over a whole number"),
         ("train_renderer.batch=0", "must be positive"),
         ("layers", "give key=value"),

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -73,7 +75,7 @@ def test_region_heatmap_is_one_at_the_centre_and_falls_by_the_covariance():
     assert float(heatmap[3, 2]) == pytest.approx(2.718281828**-0.125, abs=1e-6)
 
 
-@pytest.mark.parametrize("design", ["paper", "lite"])
+@pytest.mark.parametrize("design", ["paper", "lite", "deep"])
 def test_shapes_and_ranges(design):
     config = RendererConfig(**{**vars(SMALL), "generator": GeneratorConfig(design, 16, 32, 2, 1)})
     renderer = Renderer(config).eval()
@@ -105,3 +107,20 @@ def test_thin_plate_jacobian_is_the_derivative():
         offset[axis] = step
         slope = (transform.points(points + offset) - transform.points(points - offset)) / (2 * step)
         torch.testing.assert_close(jacobian[..., axis], slope, atol=2e-3, rtol=0)
+
+
+def test_the_deep_generator_paints_by_the_pose():
+    torch.manual_seed(0)
+    config = RendererConfig(**{**vars(SMALL), "generator": GeneratorConfig("deep", 16, 32, 2, 1)})
+    renderer = Renderer(config).eval()
+    image = torch.rand(1, 3, 64, 64)
+    features = renderer.generator.encode(image)
+    flow = renderer.flow(image, *[renderer.estimator(image)] * 2)
+    painted = renderer.generator.paint(features, flow)
+    elsewhere = replace(flow, features=flow.features.flip(3))
+    assert (renderer.generator.paint(features, elsewhere) - painted).abs().max() > 1e-3
+    # the last blend keeps the source wherever the occlusion says that it shows
+    shown = replace(flow, occlusion=torch.ones_like(flow.occlusion))
+    torch.testing.assert_close(
+        renderer.generator.decode(image, features, shown), image, atol=2e-3, rtol=0
+    )
