@@ -73,7 +73,7 @@ class Frames:
 
 
 def linear_map(known: np.ndarray, wanted: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Least-squares map with an offset from `known` (n, a) to `wanted` (n, b), applied to `seen`."""
+    """Least-squares map, with an offset, from `known` (n, a) to `wanted` (n, b); of `seen`."""
     ones = np.ones((len(known), 1))
     weights = np.linalg.lstsq(np.hstack([known, ones]), wanted, rcond=None)[0]
     return np.hstack([seen, np.ones((len(seen), 1))]) @ weights
