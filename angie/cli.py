@@ -1,5 +1,6 @@
 """The `angie` command."""
 
+import io
 import os
 import signal
 import sys
@@ -41,6 +42,9 @@ def version(
 def main() -> None:
     """Run the command; bad input is one line on standard error and exit status 2."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # what is half-written is removed
+    for stream in (sys.stdout, sys.stderr):  # file names may be no text
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     try:
         app()
     except BadInput as error:

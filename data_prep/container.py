@@ -1,5 +1,6 @@
 """Opening media files, with every failure told in one line."""
 
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,18 +11,23 @@ from av.container import InputContainer
 
 from data_prep.errors import BadInput
 
+MAX_JUMP_AHEAD, MAX_JUMP_BACK = 3600.0, 1.0
+"""Seconds by which time stamps may leap; beyond, parts were joined without mending them."""
+
 
 def check_file(path: Path) -> None:
     """Refuse a path that is no readable, non-empty file.
 
     Raises:
-        BadInput: missing, a folder, unreadable, or 0 bytes.
+        BadInput: missing, a folder, a pipe or device, unreadable, or 0 bytes.
     """
     path = Path(path)
     if not path.exists():
         raise BadInput(f"{path}: no such file; check the name")
     if path.is_dir():
         raise BadInput(f"{path}: is a folder; name a file")
+    if not path.is_file():
+        raise BadInput(f"{path}: is a pipe or a device; save it as a file first")
     try:
         with path.open("rb") as file:
             empty = not file.read(1)
@@ -29,6 +35,19 @@ def check_file(path: Path) -> None:
         raise BadInput(f"{path}: cannot be read ({error.strerror})") from error
     if empty:
         raise BadInput(f"{path}: is empty (0 bytes); copy or record it again")
+
+
+def check_jump(path: Path, before: float, after: float) -> None:
+    """Refuse time stamps, in seconds, that leap as where files were joined end to end.
+
+    Raises:
+        BadInput: further ahead, or back, than any pause or wrong order explains.
+    """
+    if after - before > MAX_JUMP_AHEAD or before - after > MAX_JUMP_BACK:
+        raise BadInput(
+            f"{path}: its time stamps jump (from {before:.1f} to {after:.1f} s); "
+            f"mend them with: ffmpeg -i {shlex.quote(path.name)} -c copy mended.mkv"
+        )
 
 
 def describe(error: Exception) -> str:

@@ -21,7 +21,7 @@ class Cue:
 
     Attributes:
         start: seconds.
-        end: seconds, not before `start`.
+        end: seconds; before `start` it counts as `start`.
         text: one word or many.
     """
 
@@ -59,7 +59,7 @@ def spread(cues: list[Cue]) -> list[Word]:
     for cue in cues:
         parts = spoken(cue.text)
         letters = [sum(c.isalnum() for c in part) for part in parts]
-        rate = (cue.end - cue.start) / max(sum(letters), 1)
+        rate = max(cue.end - cue.start, 0.0) / max(sum(letters), 1)
         time = cue.start
         for part, count in zip(parts, letters, strict=True):
             words.append(Word(part, time, time + count * rate))

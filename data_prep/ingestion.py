@@ -17,6 +17,7 @@ from data_prep.errors import BadInput
 from data_prep.outcome import ClipDetail, IngestionConfig, Outcome, Span
 from data_prep.rates import FPS, SAMPLE_RATE, SAMPLES_PER_FRAME, frames_covering
 from data_prep.sound import read_sound
+from data_prep.sound_track import AUDIBLE
 from data_prep.source import Source, sha256
 from data_prep.spans import NO_PERSON, TWO_PEOPLE, Take, find_takes
 from data_prep.speaker import Crop, cut_out
@@ -24,6 +25,8 @@ from data_prep.video import VideoInfo, probe, read_frames
 from data_prep.words import Word
 
 SOUND_OVER = "after the end of the sound"
+
+_SILENT = "--silent-ok keeps it for training the renderer"
 
 _REMEDIES = {
     TWO_PEOPLE: "choose with --person left, right or largest, or give --crop x,y,size",
@@ -74,9 +77,9 @@ def _ingest(
     source = outcome.source
     info = outcome.info = probe(source.path)
     if not info.has_sound and not config.silent_ok:
-        raise BadInput("has no sound; --silent-ok keeps it for training the renderer")
+        raise BadInput(f"has no sound; {_SILENT}")
     analysis = analyse(source.path, info)
-    samples = _sound(source, info, analysis)
+    samples = _sound(source, info, analysis, config.silent_ok)
     frames = min(analysis.frames, frames_covering(len(samples)))
     if frames < MIN_FRAMES:
         raise BadInput(f"shorter than {MIN_FRAMES} frames ({frames})")
@@ -104,10 +107,13 @@ def _ingest(
         outcome.details[clip.id] = ClipDetail(plan.number, height, motion(piece.frames))
 
 
-def _sound(source: Source, info: VideoInfo, analysis: Analysis) -> np.ndarray:
+def _sound(source: Source, info: VideoInfo, analysis: Analysis, silent_ok: bool) -> np.ndarray:
     if not info.has_sound:
         return np.zeros(analysis.frames * SAMPLES_PER_FRAME, np.float32)
-    return read_sound(source.path, SAMPLE_RATE, origin=info.start)
+    samples = read_sound(source.path, SAMPLE_RATE, origin=info.start)
+    if np.abs(samples).max() < AUDIBLE and not silent_ok:
+        raise BadInput(f"its sound is silence; {_SILENT}")
+    return samples
 
 
 def _intervals(source: Source, origin: float) -> list[tuple[int, int]]:

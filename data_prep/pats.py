@@ -11,7 +11,7 @@ from urllib.parse import parse_qs, urlparse
 
 from data_prep.errors import BadInput
 from data_prep.outcome import Outcome
-from data_prep.source import EXTENSIONS, Source, name_sources, plain, videos_in
+from data_prep.source import EXTENSIONS, Source, name_sources, placed, plain, videos_in
 
 MISSING = "pats_missing.csv"
 MISSING_COLUMNS = (
@@ -66,7 +66,7 @@ def read_time(text: str) -> float:
         ValueError: no time.
     """
     text = text.strip()
-    match = _TIME.fullmatch(text)
+    match = None if text.startswith("-") else _TIME.fullmatch(text)
     if match is None:
         return float(text)
     hours = int(match["days"] or 0) * 24 + int(match["h"] or 0)
@@ -103,14 +103,14 @@ def read_intervals(path: Path, speaker: str | None = None) -> tuple[list[Interva
     intervals: list[Interval] = []
     bad: list[Missing] = []
     for row in rows:
-        if speaker in (None, row["speaker"]):
+        if speaker in (None, (row["speaker"] or "").strip()):
             interval, fault = _interval(row)
             if fault:
                 bad.append(Missing(interval, fault))
             else:
                 intervals.append(interval)
     if not intervals:
-        known = ", ".join(sorted({row["speaker"] or "" for row in rows})[:30]) or "none"
+        known = ", ".join(sorted({(row["speaker"] or "").strip() for row in rows})[:30]) or "none"
         raise BadInput(f"{path}: no interval of speaker {speaker or 'any'}; there are {known}")
     return intervals, bad
 
@@ -253,7 +253,7 @@ def _index(places: Iterable[Path]) -> dict[str, Path]:
         if not place.exists():
             raise BadInput(f"{place}: no such file or folder; check the name")
         for video in videos_in(place) if place.is_dir() else [place]:
-            index.setdefault(_bare(video.stem), video.resolve())
+            index.setdefault(_bare(video.stem), placed(video))
             if match := _VIDEO_ID.search(video.stem):
-                ids.setdefault(_bare(match[1]), video.resolve())
+                ids.setdefault(_bare(match[1]), placed(video))
     return {**ids, **index}

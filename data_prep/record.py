@@ -17,7 +17,7 @@ from data_prep.source import Source
 from data_prep.speaker import Crop, Face
 from data_prep.video import VideoInfo
 
-PROCEDURE = 1
+PROCEDURE = 2
 """Version of how videos become clips: raised when the same video comes out otherwise."""
 
 RECORDS = "sources"
@@ -93,7 +93,7 @@ def write_json(path: Path, content: Any) -> None:
     """Write JSON that appears whole, with a line for each entry."""
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False, default=_bare)
     part = path.with_name(f".{path.name}.part")
-    part.write_text(text + "\n", encoding="utf-8")
+    part.write_text(text + "\n", encoding="utf-8", errors="replace")  # names may be no text
     os.replace(part, path)
 
 

@@ -35,7 +35,8 @@ def write_report(folder: Path, summary: Summary) -> None:
         path = sheet_path(folder, record.name)
         inside = count < _MOST_SHEETS
         sheets[record.name] = path.read_bytes() if inside else f"{path.parent.name}/{path.name}"
-    (folder / REPORT).write_text(page(summary.path.name, numbers, sheets), encoding="utf-8")
+    text = page(summary.path.name, numbers, sheets)
+    (folder / REPORT).write_text(text, encoding="utf-8", errors="replace")
 
 
 def report_numbers(summary: Summary) -> dict[str, Any]:

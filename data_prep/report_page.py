@@ -6,6 +6,7 @@ from html import escape
 from typing import Any
 
 from data_prep.split import SPLITS
+from data_prep.summary import NEGLIGIBLE, counted
 
 _STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;margin:2em auto;max-width:1200px;padding:0 1em;
@@ -67,7 +68,7 @@ def _head(title: str, numbers: Mapping[str, Any]) -> str:
     refused = sum(video["refused"] is not None for video in numbers["videos"])
     return (
         f"<h1>{escape(title)}</h1><p class=big><b>{_time(seconds['kept'])}</b> kept of "
-        f"{_time(seconds['given'])} ({share:.0%}), {numbers['clips']} clips from "
+        f"{_time(seconds['given'])} ({share:.0%}), {counted(numbers['clips'], 'clip')} from "
         f"{numbers['sources'] - refused} of {numbers['sources']} videos</p>"
         f"<div class=bar style='background:#d9774f'>"
         f"<span class=good style='width:{100 * share:.1f}%'></span></div>"
@@ -87,7 +88,7 @@ def _speakers(speakers: Mapping[str, Any]) -> str:
     rows = []
     for name, entry in speakers.items():
         cells = "".join(
-            f"<td class=n>{_time(part['seconds'])}, {part['clips']} clips"
+            f"<td class=n>{_time(part['seconds'])}, {counted(part['clips'], 'clip')}"
             f" ({part['seconds'] / max(entry['seconds'], 1e-9):.0%})</td>"
             for part in entry["splits"].values()
         )
@@ -108,6 +109,7 @@ def _speakers(speakers: Mapping[str, Any]) -> str:
 
 
 def _dropped(dropped: Mapping[str, float]) -> str:
+    dropped = _readable(dropped)
     if not dropped:
         return ""
     most = max(dropped.values())
@@ -118,6 +120,10 @@ def _dropped(dropped: Mapping[str, float]) -> str:
         for reason, seconds in dropped.items()
     )
     return f"<h2>Dropped, by reason</h2><table>{rows}</table>"
+
+
+def _readable(dropped: Mapping[str, float]) -> dict[str, float]:
+    return {reason: seconds for reason, seconds in dropped.items() if seconds >= NEGLIGIBLE}
 
 
 def _missing(missing: Mapping[str, Any] | None) -> str:
@@ -175,7 +181,7 @@ def _plot(title: str, entry: Mapping[str, list[float]]) -> str:
 def _video(video: Mapping[str, Any], sheet: bytes | str | None) -> str:
     told = [video["picture"], _time(video["seconds"]), f"speaker {video['speaker']}"]
     if video["refused"] is None:
-        told.append(f"kept {_time(video['kept'])} in {video['clips']} clips")
+        told.append(f"kept {_time(video['kept'])} in {counted(video['clips'], 'clip')}")
         told.append("/".join(video["splits"]))
     if video["words"] is not None:
         told.append(f"{video['words']} words")
@@ -183,8 +189,8 @@ def _video(video: Mapping[str, Any], sheet: bytes | str | None) -> str:
     parts = [f"<b class=name>{escape(video['file'])}</b> <span class=soft>{line}</span>"]
     if video["refused"] is not None:
         parts.append(f"<div class=refused>refused: {escape(video['refused'])}</div>")
-    elif video["dropped"]:
-        text = ", ".join(f"{_time(s)} {reason}" for reason, s in video["dropped"].items())
+    elif dropped := _readable(video["dropped"]):
+        text = ", ".join(f"{_time(s)} {reason}" for reason, s in dropped.items())
         parts.append(f"<div class=soft>dropped: {escape(text)}</div>")
     if isinstance(sheet, bytes):
         data = base64.b64encode(sheet).decode()

@@ -13,7 +13,7 @@ from av.audio.resampler import AudioResampler
 from av.audio.stream import AudioStream
 from av.container import InputContainer
 
-from data_prep.container import describe, open_media
+from data_prep.container import check_jump, describe, open_media
 from data_prep.errors import BadInput
 from data_prep.rates import SAMPLE_RATE
 from data_prep.sound_track import sound_track
@@ -101,9 +101,9 @@ class Recording:
         frame: AudioFrame | None = self._first
         while frame is not None:
             slack = self._slack(frame, position)
-            if slack > 0:
-                yield np.zeros((self.channels, slack), np.float32)
-                position += slack
+            for first in range(0, slack, self.rate):
+                yield np.zeros((self.channels, min(self.rate, slack - first)), np.float32)
+            position += max(slack, 0)
             skip = max(-slack, 0)
             for samples in self._mix(frame):
                 kept = samples[:, skip:]
@@ -121,6 +121,7 @@ class Recording:
         """Samples of silence to put before the frame, or minus those to leave out of it."""
         if frame.time is None:
             return 0
+        check_jump(self.path, self.start + position / self.rate, frame.time)
         slack = round((frame.time - self.start) * self.rate) - position
         name = self._container.format.name
         if slack > (1 if name == "flac" else MAX_GAP * self.rate) and name in _WITHOUT_GAPS:

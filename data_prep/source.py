@@ -3,6 +3,7 @@
 import hashlib
 import os
 import re
+import unicodedata
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -40,6 +41,7 @@ class Source:
 
 def plain(text: str) -> str:
     """Letters, digits, dots, dashes and underscores alone: fit for file names everywhere."""
+    text = unicodedata.normalize("NFC", text)  # some systems keep accents apart
     return re.sub(r"[^\w.-]+", "-", text).strip("-.") or "video"
 
 
@@ -47,12 +49,21 @@ def videos_in(folder: Path) -> list[Path]:
     """Videos of a folder through all its levels, in order of their paths.
 
     Hidden folders and datasets (an earlier output, say) are passed over.
+
+    Raises:
+        BadInput: a folder that cannot be read.
     """
     return sorted(_walk(folder))
 
 
 def _walk(folder: Path) -> Iterator[Path]:
-    for here, folders, files in os.walk(folder):
+    def refuse(error: OSError) -> None:
+        raise BadInput(
+            f"{error.filename}: cannot be read ({error.strerror}); "
+            "make it readable, or name the other folders and files"
+        ) from error
+
+    for here, folders, files in os.walk(folder, onerror=refuse):
         if set(files) >= _DATASET_FILES:
             folders.clear()
             continue
@@ -71,7 +82,7 @@ def find_sources(paths: Sequence[Path], speaker: str | None = None) -> list[Sour
     Raises:
         BadInput: a path that does not exist, or a folder without videos.
     """
-    found: dict[Path, str] = {}
+    found: dict[Path, tuple[Path, str]] = {}  # by the file behind a link
     for path in map(Path, paths):
         if not path.exists():
             raise BadInput(f"{path}: no such file or folder; check the name")
@@ -79,11 +90,16 @@ def find_sources(paths: Sequence[Path], speaker: str | None = None) -> list[Sour
             inside = videos_in(path)
             if not inside:
                 raise BadInput(f"{path}: holds no videos; name the files or another folder")
-            for video in inside:
-                found.setdefault(video.resolve(), speaker or video.resolve().parent.name)
+            for video in map(placed, inside):
+                found.setdefault(video.resolve(), (video, speaker or video.parent.name))
         else:
-            found.setdefault(path.resolve(), speaker or path.stem)
-    return name_sources([Source(video, plain(who), "") for video, who in found.items()])
+            found.setdefault(path.resolve(), (placed(path), speaker or path.stem))
+    return name_sources([Source(video, plain(who), "") for video, who in found.values()])
+
+
+def placed(path: Path) -> Path:
+    """The whole path of a file; a link keeps its own name and folder, and what lies beside it."""
+    return Path(os.path.abspath(path))
 
 
 def name_sources(sources: Sequence[Source], taken: Collection[str] = ()) -> list[Source]:

@@ -25,8 +25,8 @@ SMALL = 0.75
 MUCH_FILLED = 0.15
 """Part of a crop from which on it is told that it lies outside of the picture."""
 
-_NEGLIGIBLE = 0.05
-"""Seconds that rounding of durations leaves over."""
+NEGLIGIBLE = 0.05
+"""Seconds that rounding of durations leaves over, and that nobody need read of."""
 
 _MOST_LINES = 20
 
@@ -89,7 +89,7 @@ class Summary:
             dropped[GAP_REASON] = gap
         given = outcome.info.duration if outcome.info else 0.0
         rest = given - sum(dropped.values()) - seconds_of(self.clips_of(record))
-        if rest > _NEGLIGIBLE:
+        if rest > NEGLIGIBLE:
             reason = OUTSIDE if outcome.source.intervals else LEFT_OVER
             if outcome.refused is not None:
                 reason = brief(outcome.refused)
@@ -122,9 +122,9 @@ class Summary:
 
     def __str__(self) -> str:
         """A few lines for a person."""
-        lines = [f"{self.path}: {len(self.clips)} clips, {minutes(self.clips)}"]
+        lines = [f"{self.path}: {counted(len(self.clips), 'clip')}, {minutes(self.clips)}"]
         if self.done_before:
-            lines[0] += f"; {self.done_before} videos were done before"
+            lines[0] += f"; {self.done_before} of the videos done before"
         for speaker, rule in self.split.rules.items():
             own = [clip for clip in self.clips if clip.speaker == speaker]
             parts = [
@@ -133,9 +133,10 @@ class Summary:
                 if any(c.split == split for c in own)
             ]
             lines.append(
-                f"  {speaker}: {len(own)} clips, {minutes(own)}; {', '.join(parts)} ({rule})"
+                f"  {speaker}: {counted(len(own), 'clip')}, {minutes(own)}; "
+                f"{', '.join(parts)} ({rule})"
             )
-        lines += [f"  dropped {s:.1f} s: {reason}" for reason, s in self.dropped.items()]
+        lines += [f"  dropped {s:.1f} s: {r}" for r, s in self.dropped.items() if s >= NEGLIGIBLE]
         lines += _shortened([f"  refused {path}: {reason}" for path, reason in self.refused])
         lines += _shortened([f"  warning: {line}" for line in self.warnings])
         if self.moved:
@@ -176,6 +177,11 @@ def brief(reason: str) -> str:
 def seconds_of(clips: Sequence[Clip]) -> float:
     """Duration of clips together."""
     return sum(clip.n_frames for clip in clips) / FPS
+
+
+def counted(count: int, name: str) -> str:
+    """How many there are: "1 clip", "2 clips"."""
+    return f"{count} {name}{'' if count == 1 else 's'}"
 
 
 def minutes(clips: Sequence[Clip]) -> str:

@@ -1,6 +1,7 @@
 """Transcripts that lie beside a video: found by their names, read whatever their format."""
 
 import json
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import numpy as np
 
 from data_prep.alignment import align
 from data_prep.captions import read_captions
+from data_prep.container import describe
 from data_prep.cues import Cue, label, plain_text, spread
 from data_prep.errors import BadInput
 from data_prep.rates import SAMPLE_RATE
@@ -86,9 +88,13 @@ def read_transcript(path: Path) -> Transcript:
     path = Path(path)
     try:
         transcript = _parse(_decode(path.read_bytes()), path.suffix.lower())
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-        raise BadInput(f"{path}: cannot be read as a transcript ({reason}); correct it") from error
+        lost = [w.word for w in transcript.words if not math.isfinite(w.start + w.end)]
+        if lost:
+            raise ValueError(f"no time for {lost[0][:40]!r}")
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        raise BadInput(
+            f"{path}: cannot be read as a transcript ({describe(error)}); correct it"
+        ) from error
     if not transcript.words and not transcript.text:
         raise BadInput(f"{path}: holds no words; correct or remove it")
     return transcript

@@ -12,7 +12,7 @@ from av.video.frame import VideoFrame
 from av.video.reformatter import VideoReformatter
 from av.video.stream import VideoStream
 
-from data_prep.container import describe, open_media
+from data_prep.container import check_jump, describe, open_media
 from data_prep.errors import BadInput
 from data_prep.rates import FPS
 from data_prep.sound_track import sound_track
@@ -90,12 +90,15 @@ class _Converter:
     Attributes:
         format: "rgb24" or "gray".
         longest: pixels of the longer side that larger pictures are reduced to, or None.
+
+    A stream may change its size on the way (calls over a network do): all come at the first's.
     """
 
     def __init__(self, stream: VideoStream, format: str = "rgb24", longest: int | None = None):
         self.format = format
         self.longest = longest
         self._stream = stream
+        self._size: tuple[int, int] | None = None
         self._reformatter = VideoReformatter()
 
     def __call__(self, frame: VideoFrame) -> np.ndarray:
@@ -103,7 +106,9 @@ class _Converter:
         if matrix in (0, _UNSPECIFIED):
             matrix = _BT709 if frame.height >= _HD_HEIGHT else _BT601
         full = int(frame.color_range) == _FULL_RANGE or frame.format.name.startswith("yuvj")
-        width, height = _square_pixel_width(self._stream, frame.width), frame.height
+        if self._size is None:
+            self._size = (_square_pixel_width(self._stream, frame.width), frame.height)
+        width, height = self._size
         if self.longest is not None:
             width, height = reduced_size(width, height, self.longest)
         pixels = self._reformatter.reformat(
@@ -234,7 +239,9 @@ def _at_constant_rate(
         if shown is None:
             start = time = _time(frame, 0.0)
         else:
-            time = max(_time(frame, time + step), time)
+            then = _time(frame, time + step)
+            check_jump(path, time, then)
+            time = max(then, time)
             times = until(time)
             yield shown, times
             count += times

@@ -137,6 +137,15 @@ def test_sound_that_is_shorter_ends_the_clips(tmp_path: Path) -> None:
     assert "one" in text and "later" not in text
 
 
+def test_silence_is_no_sound(tmp_path: Path) -> None:
+    write(tmp_path / "a.mp4", constant(Fraction(25), 5), [], 5.0)
+    crop = Crop(0, 0, 96)
+    refused = run(tmp_path / "a.mp4", tmp_path / "a", IngestionConfig(crop=crop)).refused
+    assert refused == "its sound is silence; --silent-ok keeps it for training the renderer"
+    kept = run(tmp_path / "a.mp4", tmp_path / "b", IngestionConfig(crop=crop, silent_ok=True))
+    assert len(kept.clips) == 1
+
+
 def test_a_cut_and_a_still_scene(tmp_path: Path) -> None:
     path = tmp_path / "a.mkv"
     with av.open(str(path), "w") as container:

@@ -61,12 +61,19 @@ def test_rows_without_sense_are_missing(tmp_path: Path) -> None:
         row(1, "jon", "0:01", "0:09", "a"),
         row(2, "jon", "0:09", "0:01", "a"),
         row(3, "jon", "early", "0:01", "a"),
+        row(4, "jon", "-1 days +23:59:00", "0:01", "a"),
+        row(5, " jon ", "0:02", "0:10", "a"),
+        "train,5.0,0:09,6,jon\n",
+        row(7, "jon", "nan", "0:01", "a"),
     )
     intervals, bad = read_intervals(path, "jon")
-    assert [(i.id, i.start, i.end) for i in intervals] == [("1", 1.0, 9.0)]
+    assert [(i.id, i.speaker, i.end) for i in intervals] == [("1", "jon", 9.0), ("5", "jon", 10.0)]
     assert [(b.interval.id, b.reason) for b in bad] == [
         ("2", "the interval ends before it starts"),
         ("3", "the times cannot be read"),
+        ("4", "the times cannot be read"),
+        ("6", "the times cannot be read"),
+        ("7", "the interval ends before it starts"),
     ]
 
 

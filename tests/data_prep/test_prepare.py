@@ -1,6 +1,7 @@
 """Preparing videos: clips in step with their sound, splits, refusals, nothing left behind."""
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
 from data_prep.outcome import IngestionConfig
 from data_prep.prepare import prepare
-from data_prep.source import find_sources
+from data_prep.source import find_sources, plain
 from data_prep.speaker import Crop
 from data_prep.video import VideoWriter, read_frames
 
@@ -158,6 +159,39 @@ def test_cuts_fall_into_pauses() -> None:
         assert all(SHORTEST <= n <= LONGEST for n in lengths)
 
 
+def test_odd_names_and_things_that_are_no_files(tmp_path: Path, person: Draw) -> None:
+    write_talk(tmp_path / "real" / "0123.mp4", person, 4.0, pauses(4.0, []), ())
+    (tmp_path / "ann").mkdir()
+    (tmp_path / "ann" / "talk.mp4").symlink_to(tmp_path / "real" / "0123.mp4")
+    (tmp_path / "ann" / "talk.srt").write_text("1\n00:00:01,000 --> 00:00:02,000\nbeside it\n")
+    odd = os.fsencode(tmp_path / "ann") + b"/bad\xff.mp4"
+    try:
+        Path(os.fsdecode(odd)).write_text("no video")
+    except OSError:  # file systems that take text alone
+        (tmp_path / "ann" / "bad.mp4").write_text("no video")
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(tmp_path / "ann" / "pipe.mp4")
+    summary = prepare([tmp_path / "ann"], tmp_path / "data")
+    (clip,) = Dataset(tmp_path / "data").clips()
+    assert (clip.speaker, clip.source) == ("ann", "ann_talk")
+    words = Dataset(tmp_path / "data").words(clip)
+    assert words is not None and [word.word for word in words] == ["beside", "it"]
+    reasons = {path.name: reason for path, reason in summary.refused}
+    assert "not a recording" in reasons.pop(next(name for name in reasons if name[:3] == "bad"))
+    assert all("is a pipe" in reason for reason in reasons.values())
+    assert "bad" in (tmp_path / "data" / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root reads all")
+def test_a_folder_that_cannot_be_read_is_told(tmp_path: Path) -> None:
+    (tmp_path / "ann" / "shut").mkdir(parents=True)
+    (tmp_path / "ann" / "1.mp4").touch()
+    (tmp_path / "ann" / "shut").chmod(0)
+    with pytest.raises(BadInput, match="shut: cannot be read .*name the other"):
+        find_sources([tmp_path])
+    (tmp_path / "ann" / "shut").chmod(0o700)
+
+
 def test_sources_are_named_by_folder_or_file(tmp_path: Path) -> None:
     for name in ("Ann/1.mp4", "Ann/more/1.MOV", "Bob B/talk.mkv", "Bob B/notes.txt"):
         (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
@@ -168,6 +202,7 @@ def test_sources_are_named_by_folder_or_file(tmp_path: Path) -> None:
         ("more", "more_1"),
         ("Bob-B", "Bob-B_talk"),
     ]
+    assert plain("Cafe\u0301 \u00e9") == "Caf\u00e9-\u00e9"
     named = find_sources([tmp_path / "Bob B" / "talk.mkv"])
     assert [(s.speaker, s.name) for s in named] == [("talk", "talk")]
     same = find_sources([tmp_path / "Ann"], speaker="Z")

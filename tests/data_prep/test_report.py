@@ -15,10 +15,11 @@ from data_prep.outcome import ClipDetail, IngestionConfig, Outcome, Span
 from data_prep.pats import Interval, Missing
 from data_prep.record import RECORDS, Record, read_records, write_record
 from data_prep.report import histogram, report_numbers, write_report
+from data_prep.report_page import page
 from data_prep.source import Source
 from data_prep.speaker import Crop, Face
 from data_prep.split import split_clips
-from data_prep.summary import Summary
+from data_prep.summary import Summary, counted
 from data_prep.video import VideoInfo, VideoWriter
 
 INFO = VideoInfo(480, 360, 25.0, 30.0, True, 0.0)
@@ -80,6 +81,15 @@ def test_numbers_add_up(summary: Summary) -> None:
     assert numbers["histograms"]["face_height"]["median"] == [80.5]
     assert numbers["pats_missing"]["videos"] == ["gone.mp4"]
     assert numbers["videos"][0]["spans"][1]["reason"] == "two people"
+
+
+def test_what_is_negligible_is_counted_but_not_told(summary: Summary) -> None:
+    few = replace(summary.records[0].outcome, dropped=Counter({"a cut": 0.04, "two people": 8.0}))
+    one = replace(summary, records=(replace(summary.records[0], outcome=few),))
+    assert one.dropped["a cut"] == 0.04
+    told = str(one) + page("t", report_numbers(one), {})
+    assert "a cut" not in told and "8.0 s: two people" in told
+    assert counted(1, "clip") == "1 clip" and counted(0, "clip") == "0 clips"
 
 
 def test_histograms_of_few_values() -> None:

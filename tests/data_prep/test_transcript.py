@@ -178,6 +178,11 @@ def test_textgrids_long_and_short(tmp_path: Path, text: str, encoding: str) -> N
     assert read_transcript(tmp_path / "talk.TextGrid").words == TWO
 
 
+def test_a_word_that_ends_before_it_starts_has_no_length(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text('[{"word": "back", "start": 2, "end": 1}]')
+    assert read_transcript(tmp_path / "a.json").words == [Word("back", 2.0, 2.0)]
+
+
 def test_ctm(tmp_path: Path) -> None:
     lines = (";; by hand", "talk 1 0.5 0.25 Good 0.98", "talk 1 0.75 0.25 <eps>")
     text = "\n".join([*lines, "talk 1 1.0 0.5 morning\n"])
@@ -233,6 +238,12 @@ def test_the_best_transcript_beside_a_video_is_found(tmp_path: Path) -> None:
         ("a.TextGrid", b"something", "a text is missing"),
         ("a.TextGrid", LONG.encode()[:-60], "a number is missing"),
         ("a.txt", b"  ", "holds no words"),
+        ("a.txt", b"0 " + b"9" * 400 + b" word", "cannot be read"),
+        ("a.json", b'[{"word": "a", "start": 0, "end": NaN}]', "no time for 'a'"),
+        ("a.json", b'[{"word": "a", "start": 0, "end": 1' + b"0" * 400 + b"}]", "cannot be read"),
+        ("a.ctm", b"a 1 1e999 0.1 word", "no time for 'word'"),
+        ("a.srt", b"9" * 400 + b":00:01,0 --> 00:00:02,0\na", "cannot be read"),
+        ("a.TextGrid", LONG.replace("size = 2", "size = 1e999").encode(), "cannot be read"),
     ],
 )
 def test_bad_transcripts_are_told_in_one_line(

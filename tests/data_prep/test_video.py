@@ -11,7 +11,7 @@ import pytest
 
 from data_prep.errors import BadInput
 from data_prep.sound import open_recording, read_sound, write_wav
-from data_prep.video import VideoWriter, probe, read_frames
+from data_prep.video import VideoWriter, probe, read_frames, read_grey
 
 GREY = np.full((64, 64, 3), 128, np.uint8)
 
@@ -218,6 +218,134 @@ def test_pictures_that_start_late_are_aligned_by_origin(tmp_path: Path) -> None:
     heard = read_sound(path, origin=info.start)
     assert seen == [15]
     assert abs(int(np.argmax(np.abs(heard))) - 15 * 640) < 40
+
+
+def with_edits(path: Path, video: list[tuple[int, int]], audio: list[tuple[int, int]]) -> None:
+    """Give the tracks of an mp4 other edit lists: (duration, media time) in milliseconds.
+
+    Boxes are put into the file behind its data, so that no offset in it changes.
+    """
+    data = bytearray(path.read_bytes())
+    moov = data.index(b"moov") - 4
+    assert moov > data.index(b"mdat"), "the index must come last"
+
+    def grown(box: bytes) -> bytes:
+        return struct.pack(">I", len(box) + 4) + box
+
+    head, out = bytes(data[:moov]), b""
+    place, end = moov + 8, moov + struct.unpack_from(">I", data, moov)[0]
+    while place < end:
+        size = struct.unpack_from(">I", data, place)[0]
+        box = bytes(data[place : place + size])
+        if box[4:8] == b"trak":
+            edits = audio if b"soun" in box else video
+            scale = struct.unpack_from(">I", box, box.index(b"mdhd") + 16)[0]
+            rows = b"".join(
+                struct.pack(">IiI", length, time if time < 0 else time * scale // 1000, 0x10000)
+                for length, time in edits
+            )
+            elst = grown(b"elst" + struct.pack(">II", 0, len(edits)) + rows)
+            inner, at = b"", 8
+            while at < len(box):
+                step = struct.unpack_from(">I", box, at)[0]
+                if box[at + 4 : at + 8] != b"edts":
+                    inner += box[at : at + step]
+                if box[at + 4 : at + 8] == b"tkhd":
+                    inner += grown(b"edts" + elst)
+                at += step
+            box = grown(b"trak" + inner)
+        out += box
+        place += size
+    path.write_bytes(head + grown(b"moov" + out))
+
+
+@pytest.mark.parametrize(
+    ("video", "audio", "lit", "count"),
+    [
+        # a second cut off both tracks; the frame before the cut is no keyframe
+        ([(3000, 1000)], [(3000, 1000)], 35, 75),
+        # the picture begins 0.4 s after the sound: an empty edit before it
+        ([(400, -1), (4000, 0)], [(4000, 0)], 60, 100),
+        # the sound begins 0.4 s after the picture
+        ([(4000, 0)], [(400, -1), (4000, 0)], 60, 100),
+        # the middle second taken out
+        ([(1000, 0), (2000, 2000)], [(1000, 0), (2000, 2000)], 35, 75),
+    ],
+)
+def test_edit_lists_are_followed(
+    tmp_path: Path,
+    video: list[tuple[int, int]],
+    audio: list[tuple[int, int]],
+    lit: int,
+    count: int,
+) -> None:
+    rate, path = 16000, tmp_path / "a.mp4"
+    click = np.zeros(4 * rate, np.float32)
+    click[60 * 640 : 60 * 640 + 64] = 0.9
+    with av.open(str(path), "w", options={"movie_timescale": "1000"}) as container:
+        stream = container.add_stream("libx264", rate=25, options={"bf": "0", "g": "250"})
+        stream.width = stream.height = 64
+        sound = container.add_stream("pcm_s16be", rate=rate, layout="mono")
+        for k in range(100):
+            frame = av.VideoFrame.from_ndarray(GREY + np.uint8(100 * (k == 60)), "rgb24")
+            frame.pts, frame.time_base = k, Fraction(1, 25)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+        for first in range(0, len(click), 640):
+            block = (click[first : first + 640] * 32767).astype(np.int16)[None]
+            part = av.AudioFrame.from_ndarray(block, "s16", "mono")
+            part.sample_rate, part.pts, part.time_base = rate, first, Fraction(1, rate)
+            container.mux(sound.encode(part))
+        container.mux(sound.encode(None))
+    with_edits(path, video, audio)
+    info = probe(path)
+    late = [sum(length for length, time in edits if time < 0) / 1000 for edits in (video, audio)]
+    seen = [k for k, f in enumerate(read_frames(path)) if f[32, 32, 1] > 180]
+    heard = read_sound(path, origin=info.start)
+    assert (seen, sum(1 for _ in read_frames(path))) == ([lit], count)
+    assert info.start == pytest.approx(late[0], abs=1e-3)
+    clicked = int(np.argmax(np.abs(heard))) / 640
+    assert abs(clicked - (lit + 25 * (late[1] - late[0]))) < 0.1
+
+
+def transport(path: Path, picture: np.ndarray, first: int, count: int) -> bytes:
+    """Frames `first` and on of a transport stream, which may be joined to others."""
+    with av.open(str(path), "w", format="mpegts") as container:
+        stream = container.add_stream("mpeg2video", rate=25)
+        stream.height, stream.width, stream.pix_fmt = *picture.shape[:2], "yuv420p"
+        for k in range(first, first + count):
+            frame = av.VideoFrame.from_ndarray(picture, "rgb24")
+            frame.pts, frame.time_base = k, Fraction(1, 25)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    return path.read_bytes()
+
+
+def test_a_stream_that_changes_its_size_keeps_the_first(tmp_path: Path) -> None:
+    data = b""
+    for side, first in ((64, 0), (32, 5)):
+        picture = np.full((side, 2 * side, 3), side, np.uint8)
+        picture[:, side:] += 100
+        data += transport(tmp_path / "part", picture, first, 5)
+    path = tmp_path / "both.ts"
+    path.write_bytes(data)
+    frames = list(read_frames(path))
+    assert {frame.shape for frame in frames} == {(64, 128, 3)}
+    assert [int(frame[:, :60].mean()) // 10 for frame in (frames[0], frames[-1])] == [6, 3]
+    assert [int(frame[:, 70:].mean()) // 10 for frame in (frames[0], frames[-1])] == [16, 13]
+    assert {grey.shape for grey, _ in read_grey(path, 100)} == {(50, 100)}
+
+
+@pytest.mark.parametrize("second", [0, 4000])
+def test_time_stamps_that_leap_are_refused_with_a_remedy(tmp_path: Path, second: int) -> None:
+    path = tmp_path / "joined talk.ts"
+    data = transport(tmp_path / "part", GREY, 0, 50)
+    path.write_bytes(data + transport(tmp_path / "part", GREY, second * 25, 50))
+    with pytest.raises(BadInput, match=r"time stamps jump \(from .* s\)") as error:
+        list(read_frames(path))
+    assert "ffmpeg -i 'joined talk.ts' -c copy" in str(error.value)
+    (tmp_path / "whole.ts").write_bytes(data + transport(tmp_path / "part", GREY, 2000, 50))
+    assert sum(1 for _ in read_frames(tmp_path / "whole.ts")) > 2040  # a pause is none
 
 
 @pytest.mark.parametrize(("turn", "bright"), [((0, 1, -1, 0), "top"), ((0, -1, 1, 0), "bottom")])
