@@ -35,7 +35,7 @@ def _paste(picture: Array, sprite: NDArray[np.uint8], matrix: NDArray) -> None:
     """Lay a sprite over the picture (3, H, W) by an affine (2, 3) from sprite to picture pixels."""
     h, w = sprite.shape[:2]
     corners = np.array([[0, 0, 1], [w, 0, 1], [0, h, 1], [w, h, 1]]) @ matrix.T
-    where = limbs.region(corners, 1, HEIGHT, WIDTH)
+    where = limbs.region(corners, 1, *picture.shape[1:])
     if where is None:
         return
     moved = matrix.copy()
@@ -73,11 +73,15 @@ class Figure:
         place: clothes, background and light.
         course: pose of T frames.
         seed: of everything drawn at random (textures, wrinkles, background, grain).
+        scale: pixels drawn for each pixel of the usual picture, along each side; the background
+            is enlarged, body, head, arms and hands are drawn finer, the grain is left out above 1.
     """
 
-    def __init__(self, who: Presenter, place: Setting, course: Course, seed: list[int]) -> None:
+    def __init__(
+        self, who: Presenter, place: Setting, course: Course, seed: list[int], scale: int = 1
+    ) -> None:
         rng = np.random.default_rng(seed)
-        self.who, self.place, self.course = who, place, course
+        self.who, self.place, self.course, self.scale = who, place, course, scale
         first, second = np.asarray(place.first), np.asarray(place.second)
         contrast = 0.75 if place.garment == "blazer" else 1.0
         tile = cloth(rng, place.pattern, first, second, contrast)
@@ -86,9 +90,9 @@ class Figure:
         self.head = Head(who.look, place, rng)
         self.back = _premask(self.head.back) if self.head.back.any() else None
         lens = scene.lens(place, rng)
-        self.lens = planar(lens)
-        self.ground = planar(scene.background(place, rng) * 255)
-        self.desk = planar(scene.desk(place, rng) * 255) if place.seated else None
+        self.lens = self._layer(lens)
+        self.ground = self._layer(scene.background(place, rng) * 255)
+        self.desk = self._layer(scene.desk(place, rng) * 255) if place.seated else None
         self.grain = [
             (rng.standard_normal((HEIGHT, WIDTH)) * place.grain).astype(np.float32)
             for _ in range(_GRAINS)
@@ -103,6 +107,17 @@ class Figure:
         self._domed = slice(int(covered[0]), int(covered[-1]) + 1)
         self._row, self._column = np.mgrid[0 : HEAD.shape[0], 0 : HEAD.shape[1]].astype(np.float32)
 
+    def _layer(self, image: Array) -> Array:
+        """A still layer (h, w, 3) as planes (3, scale * h, scale * w)."""
+        if self.scale == 1:
+            return planar(image)
+        size = (self.scale * image.shape[1], self.scale * image.shape[0])
+        return planar(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC))
+
+    def _placed(self, points: NDArray) -> NDArray:
+        """Points (..., 2) of the usual picture as points of this one; pixel centres are whole."""
+        return (points + 0.5) * self.scale - 0.5
+
     def _matrix(self, canvas: Canvas, transform: NDArray) -> NDArray:
         """Affine (2, 3) from sprite pixels on a canvas to frame pixels."""
         d = canvas.density
@@ -112,7 +127,10 @@ class Figure:
         origin = to_picture(np.zeros(2), np.ones(()), self.place, WIDTH)
         z = self.place.zoom
         picture = np.array([[z, 0, origin[0]], [0, z, origin[1]]])
-        return picture @ _homogeneous(transform) @ units
+        matrix = picture @ _homogeneous(transform) @ units
+        matrix[:, 2] = self._placed(matrix[:, 2])
+        matrix[:, :2] *= self.scale
+        return matrix
 
     def _turned(self, sprite: NDArray[np.uint8], yaw: float, pitch: float) -> NDArray[np.uint8]:
         """The head's sprite with its middle shifted as a turned dome would be."""
@@ -126,14 +144,14 @@ class Figure:
     def _arm(self, picture: Array, t: int, side: int) -> None:
         look, place, course = self.who.look, self.place, self.course
         own = slice(4 + 4 * side, 8 + 4 * side)
-        points = self.joints.points[t, own]
-        depth = self.joints.depth[t, own] * place.zoom
-        offset = (-18 * place.light[0], 8 - 6 * place.light[1])
-        limbs.shadow(picture, points, 17 * look.girth, offset, 0.34)
+        points = self._placed(self.joints.points[t, own])
+        depth = self.joints.depth[t, own] * place.zoom * self.scale
+        offset = (-18 * self.scale * place.light[0], self.scale * (8 - 6 * place.light[1]))
+        limbs.shadow(picture, points, 17 * look.girth * self.scale, offset, 0.34)
         radii = np.array([15.5, 14.5 * look.girth, 9.6 * look.girth], np.float32) * depth[:3]
         skin = (255 * look.skin[0], 255 * look.skin[1], 255 * look.skin[2])
         loose = _LOOSE.get(place.garment, 1.05)
-        sleeve = limbs.Sleeve(self.tile, TILE_DENSITY, _REACH[place.sleeve], skin, loose)
+        sleeve = limbs.Sleeve(self.tile, TILE_DENSITY, _REACH[place.sleeve], skin, loose, self.scale)
         limbs.arm(picture, points[:3], self.joints.sleeve[t, side], radii, sleeve, place.light)
         hand = Hand(
             wrist=points[2],
@@ -146,7 +164,7 @@ class Figure:
         draw_hand(picture, hand, skin, place.light)
 
     def frame(self, t: int) -> NDArray[np.uint8]:
-        """Picture t of the course, (HEIGHT, WIDTH, 3) uint8 RGB."""
+        """Picture t of the course, (scale * HEIGHT, scale * WIDTH, 3) uint8 RGB."""
         picture = self.ground.copy()
         head = self._matrix(HEAD, self._head[t])
         if self.back is not None:
@@ -157,7 +175,7 @@ class Figure:
         sprite = self.head.sprite(closed, lift, gap, width)
         _paste(picture, self._turned(sprite, yaw, pitch), head)
         if self.desk is not None:
-            picture[:, scene.DESK_ROW :] = self.desk
+            picture[:, self.scale * scene.DESK_ROW :] = self.desk
         for side in (1, 0) if self.who.style.right_hand >= 0.5 else (0, 1):
             self._arm(picture, t, side)
         return self._developed(picture, t)
@@ -165,6 +183,8 @@ class Figure:
     def _developed(self, picture: Array, t: int) -> NDArray[np.uint8]:
         """The picture (3, H, W) through lens and sensor, (H, W, 3) uint8."""
         picture *= self.lens
-        picture += self.grain[t % _GRAINS]
+        if self.scale == 1:
+            picture += self.grain[t % _GRAINS]
         whole = cv2.merge([cv2.convertScaleAbs(plane) for plane in picture])
-        return cv2.GaussianBlur(whole, (3, 3), self.place.blur)
+        window = (2 * self.scale + 1, 2 * self.scale + 1)
+        return cv2.GaussianBlur(whole, window, self.place.blur * self.scale)

@@ -80,6 +80,9 @@ def shading(nx: Array, ny: Array, light: tuple[float, float, float], ambient: fl
     return np.float32(ambient) + gain * np.maximum(facing + nz * np.float32(light[2]), 0)
 
 
+_ROW = 32_000
+"""Longest row that cv2 takes."""
+
 _WARM = (0.18, 0.0, -0.1)
 """How much redder skin is in half shadow, by channel."""
 
@@ -150,6 +153,14 @@ class Sleeve:
     reach: float  # where the sleeve ends: 0 shoulder, 1 elbow, 2 wrist
     skin: tuple[float, float, float]
     loose: float  # radius of the sleeve over that of the arm
+    scale: int = 1  # of the picture, see `figure.Figure`
+
+
+def _rows(values: Array) -> Array:
+    """Values (n,) as (1, n), or in rows of `_ROW`, zeros at the end; cv2 takes no longer row."""
+    if len(values) <= _ROW:
+        return values[None]
+    return np.pad(values, (0, -len(values) % _ROW)).reshape(-1, _ROW)
 
 
 def _arm_colour(
@@ -164,13 +175,15 @@ def _arm_colour(
     along = np.where(front, parts.along[1], parts.along[0])
     place = along + front
     run = np.where(front, lengths[0] + along * lengths[1], along * lengths[0])
-    contact = np.maximum(parts.distance[1], 0) + 60 * np.maximum(0, parts.along[0] - 0.8)
+    contact = np.maximum(parts.distance[1] / sleeve.scale, 0) + 60 * np.maximum(0, parts.along[0] - 0.8)
     tone = tone * (1 - np.float32(0.22) * np.exp(contact * np.float32(-0.16)) * (1 - lower))
     around = np.arcsin(np.minimum(np.maximum(across, -1), 1)) * np.float32(girth * 1.1)
-    wool = sample(sleeve.tile, (around * sleeve.density + 40)[None], (run * sleeve.density)[None])
+    wool = sample(
+        sleeve.tile, _rows(around * sleeve.density + 40), _rows(run * sleeve.density)
+    ).reshape(-1, 3)[: len(run)]
     dressed = np.minimum(np.maximum((sleeve.reach - place) * 30 + 0.5, 0), 1).astype(np.float32)
     bare = skin_colour(sleeve.skin, tone)
-    colour = bare + (wool[0].T * tone - bare) * dressed
+    colour = bare + (wool.T * tone - bare) * dressed
     return colour * (1 - np.float32(0.35) * np.exp(-(((place - sleeve.reach) / 0.03) ** 2)))
 
 
@@ -201,7 +214,7 @@ def arm(
     soft = np.float32(0.7) + 7 * np.maximum(0, 1 - np.abs(parts.along[1]) * 3)
     lower = np.minimum(np.maximum(0.5 - parts.distance[1] / soft, 0), 1)
     lower = np.where(parts.distance[0] > 0, 1, lower) * (parts.distance[1] < 0.6)
-    colour = _arm_colour(parts, lower, lengths, float(worn.mean()), sleeve, light)
+    colour = _arm_colour(parts, lower, lengths, float(worn.mean()) / sleeve.scale, sleeve, light)
     edge = np.minimum(np.maximum(0.5 - parts.distance.min(0), 0), 1)
     seam = (parts.along[0] * lengths[0] + 15) / 14
     edge = edge * np.maximum(lower, np.minimum(np.maximum(seam, 0), 1))

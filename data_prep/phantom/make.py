@@ -55,7 +55,11 @@ class Take:
     @cached_property
     def figure(self) -> Figure:
         """What draws it; textures are made at the first use."""
-        return Figure(self.who, self.place, self.path, list(self.key))
+        return self.figure_at(1)
+
+    def figure_at(self, scale: int) -> Figure:
+        """What draws it with `scale` pixels for each pixel along each side."""
+        return Figure(self.who, self.place, self.path, list(self.key), scale)
 
 
 def voice_named(name: str) -> str:
