@@ -14,14 +14,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 
-import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from data_prep.rates import IMAGE_SIZE
 from data_prep.speaker import Crop, cut_out
 from mraa.fullsize_kernel import draw
 from mraa.grid import coordinate_grid
@@ -162,7 +160,7 @@ class FullSize:
             (b, S, S, 3) uint8 RGB, or (b, H, W, 3) of the whole photo.
         """
         count, side = len(flow), painted.shape[-1]
-        grid = coordinate_grid(*flow.shape[1:3], flow.device)
+        grid = coordinate_grid(flow.shape[1], flow.shape[2], flow.device)
         shift = (flow - grid) * ((side - 1) / 2 * self.size / side)  # in pixels of the square
         maps = torch.cat([shift, occlusion[:, 0, ..., None]], dim=-1).float()
         colours = painted.float()

@@ -27,9 +27,7 @@ def _cubic(t: float) -> tuple[float, float, float, float]:
 
 
 @njit(**_JIT)
-def _sample(
-    photo: NDArray[np.uint8], x: float, y: float
-) -> tuple[float, float, float]:
+def _sample(photo: NDArray[np.uint8], x: float, y: float) -> tuple[float, float, float]:
     """Colour of the photo at pixel (x, y), bicubic; outside lie its edges, continued."""
     height, width = photo.shape[:2]
     x = min(max(x, np.float32(-4.0)), np.float32(width + 3))
@@ -132,9 +130,7 @@ def draw(
             else:
                 red, green, blue = _sample(photo, np.float32(x) + dx, np.float32(y) + dy)
             if shown < SHOWN:
-                r, g, b = _between(
-                    painted_line, painted_taps[0][column], painted_taps[1][column]
-                )
+                r, g, b = _between(painted_line, painted_taps[0][column], painted_taps[1][column])
                 red += (r - red) * (one - shown)
                 green += (g - green) * (one - shown)
                 blue += (b - blue) * (one - shown)

@@ -112,7 +112,9 @@ class Figure:
         if self.scale == 1:
             return planar(image)
         size = (self.scale * image.shape[1], self.scale * image.shape[0])
-        return planar(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC))
+        return planar(
+            np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC), np.float32)
+        )
 
     def _placed(self, points: NDArray) -> NDArray:
         """Points (..., 2) of the usual picture as points of this one; pixel centres are whole."""
@@ -151,7 +153,9 @@ class Figure:
         radii = np.array([15.5, 14.5 * look.girth, 9.6 * look.girth], np.float32) * depth[:3]
         skin = (255 * look.skin[0], 255 * look.skin[1], 255 * look.skin[2])
         loose = _LOOSE.get(place.garment, 1.05)
-        sleeve = limbs.Sleeve(self.tile, TILE_DENSITY, _REACH[place.sleeve], skin, loose, self.scale)
+        sleeve = limbs.Sleeve(
+            self.tile, TILE_DENSITY, _REACH[place.sleeve], skin, loose, self.scale
+        )
         limbs.arm(picture, points[:3], self.joints.sleeve[t, side], radii, sleeve, place.light)
         hand = Hand(
             wrist=points[2],

@@ -175,7 +175,9 @@ def _arm_colour(
     along = np.where(front, parts.along[1], parts.along[0])
     place = along + front
     run = np.where(front, lengths[0] + along * lengths[1], along * lengths[0])
-    contact = np.maximum(parts.distance[1] / sleeve.scale, 0) + 60 * np.maximum(0, parts.along[0] - 0.8)
+    contact = np.maximum(parts.distance[1] / sleeve.scale, 0) + 60 * np.maximum(
+        0, parts.along[0] - 0.8
+    )
     tone = tone * (1 - np.float32(0.22) * np.exp(contact * np.float32(-0.16)) * (1 - lower))
     around = np.arcsin(np.minimum(np.maximum(across, -1), 1)) * np.float32(girth * 1.1)
     wool = sample(

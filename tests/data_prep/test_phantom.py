@@ -150,6 +150,17 @@ def test_same_seed_same_frames_other_seed_others() -> None:
     assert not np.array_equal(first, still(1, seed=6))
 
 
+def test_more_pixels_show_the_same_picture(shots: list[Take]) -> None:
+    for shot in shots[:2]:
+        usual, large = shot.figure.frame(40), shot.figure_at(3).frame(40)
+        assert large.shape == (3 * HEIGHT, 3 * WIDTH, 3)
+        small = cv2.resize(large, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA).astype(int)
+        error = np.abs(small - usual).mean()
+        assert error < 2.5  # grain among it
+        moved = np.roll(small, 1, axis=1)
+        assert np.abs(moved - usual).mean() > 1.5 * error
+
+
 def test_the_face_is_found_where_it_is(shots: list[Take]) -> None:
     seen = found = 0
     for shot in shots:
