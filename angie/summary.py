@@ -41,4 +41,10 @@ def _state(bundle: Bundle, part: str) -> str:
             f"held-out L1 {score['l1']:.4f} (copy {score['copy_l1']:.4f}), "
             f"PSNR {score['psnr']:.2f} dB (copy {score['copy_psnr']:.2f})"
         )
+        if "ssim" in score:  # bundles from before it was measured lack it
+            words.append(
+                f"SSIM {score['ssim']:.4f} (copy {score['copy_ssim']:.4f}), "
+                f"perceptual by {score['backend']} {score['perceptual']:.2f} "
+                f"(copy {score['copy_perceptual']:.2f})"
+            )
     return "; ".join(words)

@@ -30,6 +30,7 @@ from data_prep.progress import console
 from data_prep.rates import FPS
 from data_prep.speaker import FACE_DOWN, SIDE_IN_FACES
 from mraa.allocator import keep_memory
+from mraa.image_metrics import PerceptualDistance
 from mraa.losses import backend_of, load_vgg19
 from mraa.reconstruction import reconstruct
 from mraa.renderer import Renderer
@@ -110,13 +111,10 @@ class Trainer:
         }
         tests = self.dataset.clips("test")
         if tests and self.fabric.global_rank == 0:
-            score = reconstruct(renderer, self.dataset, tests)
+            measure_by = PerceptualDistance(preset.train_renderer.perceptual_weights)
+            score = reconstruct(renderer, self.dataset, tests, perceptual=measure_by)
             report["reconstruction"] = score.as_dict()
-            console.print(
-                f"renderer: L1 {score.l1:.4f}, PSNR {score.psnr:.2f} dB on held-out frames "
-                f"(copying the source: {score.copy_l1:.4f}, {score.copy_psnr:.2f} dB)",
-                soft_wrap=True,
-            )
+            console.print(f"renderer, on held-out frames: {score}", soft_wrap=True)
         self.bundle.manifest["speakers"] = self.dataset.speakers()
         self.bundle.manifest["crop"] = {"side_in_faces": SIDE_IN_FACES, "face_down": FACE_DOWN}
         self.publish("renderer", renderer.state_dict, **report)

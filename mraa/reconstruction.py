@@ -4,56 +4,90 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from data_prep.dataset import Clip, Dataset
+from mraa.image_metrics import PerceptualDistance, score
 from mraa.renderer import Renderer, from_pixels
 
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """Mean distances to the truth in [0, 1]; `copy_` is the first frame shown throughout."""
+    """Mean distances to the truth over frames; `copy_` is the first frame shown throughout.
+
+    Each as `mraa.image_metrics` defines it, `backend` being what `perceptual` was measured by.
+    """
 
     frames: int
+    backend: str
     l1: float
     psnr: float
+    ssim: float
+    perceptual: float
     copy_l1: float
     copy_psnr: float
+    copy_ssim: float
+    copy_perceptual: float
 
-    def as_dict(self) -> dict[str, float]:
-        """Plain numbers for a report."""
-        return {k: round(v, 5) for k, v in asdict(self).items()}
+    def as_dict(self) -> dict[str, float | str]:
+        """Plain values for a report."""
+        return {k: round(v, 5) if isinstance(v, float) else v for k, v in asdict(self).items()}
+
+    def __str__(self) -> str:
+        return (
+            f"L1 {self.l1:.4f} (copying the source {self.copy_l1:.4f}), "
+            f"PSNR {self.psnr:.2f} dB ({self.copy_psnr:.2f}), "
+            f"SSIM {self.ssim:.4f} ({self.copy_ssim:.4f}), "
+            f"perceptual by {self.backend} {self.perceptual:.2f} ({self.copy_perceptual:.2f})"
+        )
 
 
 @torch.no_grad()
 def reconstruct(
-    renderer: Renderer, dataset: Dataset, clips: list[Clip], *, stride: int = 10, batch: int = 4
+    renderer: Renderer,
+    dataset: Dataset,
+    clips: list[Clip],
+    *,
+    stride: int = 10,
+    batch: int = 4,
+    perceptual: PerceptualDistance | None = None,
 ) -> Reconstruction:
     """Render every `stride`-th frame of clips from their first frame and compare.
 
-    PSNR is that of the mean squared error of a frame, averaged over frames, in decibels.
+    Args:
+        renderer: on any device; left in eval mode.
+        dataset: where the clips are.
+        clips: at least one of more than `stride` frames.
+        stride: frames from one that is compared to the next.
+        batch: frames at once.
+        perceptual: what measures the perceptual distance; without, the fixed random network.
+
+    Raises:
+        ValueError: no frame to compare.
     """
-    l1s: list[tuple[float, float]] = []
-    mses: list[tuple[float, float]] = []
+    device = next(renderer.parameters()).device
+    perceptual = (perceptual or PerceptualDistance()).to(device)
     renderer.eval()
+    rows: list[Tensor] = []
     for clip in clips:
         store = dataset.frames(clip)
-        first = from_pixels(torch.from_numpy(store[0])[None])
+        first = from_pixels(torch.from_numpy(store[0])[None]).to(device)
+        regions = renderer.estimator(first)
         numbers = list(range(stride, len(store), stride))
         for start in range(0, len(numbers), batch):
             pixels = np.stack([store[i] for i in numbers[start : start + batch]])
-            driving = from_pixels(torch.from_numpy(pixels))
-            source = first.expand(len(driving), -1, -1, -1)
-            prediction, _ = renderer(
+            truth = from_pixels(torch.from_numpy(pixels)).to(device)
+            source = first.expand(len(truth), -1, -1, -1)
+            made, _ = renderer(
                 source,
-                renderer.estimator(source),
-                renderer.estimator(driving),
-                renderer.background(source, driving),
+                regions.repeat(len(truth)),
+                renderer.estimator(truth),
+                renderer.background(source, truth),
             )
-            for made, copied, true in zip(prediction, source, driving, strict=True):
-                l1s.append((float((made - true).abs().mean()), float((copied - true).abs().mean())))
-                mses.append(
-                    (float(((made - true) ** 2).mean()), float(((copied - true) ** 2).mean()))
-                )
-    l1, copy_l1 = np.mean(l1s, axis=0)
-    psnr, copy_psnr = np.mean(-10 * np.log10(np.maximum(mses, 1e-10)), axis=0)
-    return Reconstruction(len(l1s), float(l1), float(psnr), float(copy_l1), float(copy_psnr))
+            scores = [score(image, truth, perceptual) for image in (made.float(), source)]
+            columns = [v for s in scores for v in (s.l1, s.psnr, s.ssim, s.perceptual)]
+            rows.append(torch.stack(columns, dim=1).double().cpu())  # (B, 8)
+    if not rows:
+        raise ValueError(f"no clip is longer than {stride} frames")
+    table = torch.cat(rows)
+    return Reconstruction(len(table), perceptual.backend, *table.mean(0).tolist())

@@ -28,6 +28,14 @@ class Regions:
         heatmap = None if self.heatmap is None else self.heatmap[item]
         return Regions(self.shift[item], self.covariance[item], self.affine[item], heatmap)
 
+    def repeat(self, count: int) -> "Regions":
+        """Regions of one image (1, K) for `count` images, without the heatmap."""
+        return Regions(
+            self.shift.expand(count, -1, -1),
+            self.covariance.expand(count, -1, -1, -1),
+            self.affine.expand(count, -1, -1, -1),
+        )
+
 
 def regions_from_motion(shift: Tensor, covariance: Tensor, mode: str = "svd") -> Regions:
     """Regions of given shift (B, K, 2) and covariance (B, K, 2, 2)."""

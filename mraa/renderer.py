@@ -153,7 +153,7 @@ class Renderer(nn.Module):
         """Frames (B, 3, H, W) in [0, 1] of an opened photo in the poses `driving` (B, K)."""
         count = len(driving.shift)
         flow = self.flow.from_small(
-            source.small.expand(count, -1, -1, -1), _repeat(source.regions, count), driving
+            source.small.expand(count, -1, -1, -1), source.regions.repeat(count), driving
         )
         features = [f.expand(count, -1, -1, -1) for f in source.features]
         return self.generator.decode(source.image.expand(count, -1, -1, -1), features, flow)
@@ -195,12 +195,4 @@ def make_avd(config: RendererConfig) -> AvdNetwork:
     """The disentanglement network that a configuration names."""
     return AvdNetwork(
         config.regions, config.avd_id_width, config.avd_pose_width, config.revert_axis_swap
-    )
-
-
-def _repeat(regions: Regions, count: int) -> Regions:
-    return Regions(
-        regions.shift.expand(count, -1, -1),
-        regions.covariance.expand(count, -1, -1, -1),
-        regions.affine.expand(count, -1, -1, -1),
     )
