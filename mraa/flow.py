@@ -37,6 +37,23 @@ def region_heatmap(regions: Regions, height: int, width: int) -> Tensor:
     return torch.exp(-0.5 * (xx * x * x + 2 * xy * x * y + yy * y * y))
 
 
+def region_maps(
+    source: Regions, driving: Regions, *, revert_axis_swap: bool
+) -> tuple[Tensor, Tensor]:
+    """Motion of each region, `z -> M z + t` with `M = A_s A_d^-1` and `t = mu_s - M mu_d`.
+
+    Args:
+        source: regions of the source.
+        driving: regions of the driving frame.
+        revert_axis_swap: as `mraa.affine.relative_affine`.
+
+    Returns:
+        (B, K, 2, 2) and (B, K, 2), from driving to source coordinates.
+    """
+    matrix = relative_affine(source.affine, driving.affine, revert_axis_swap=revert_axis_swap)
+    return matrix, source.shift - (matrix @ driving.shift[..., None])[..., 0]
+
+
 def sparse_motions(
     source: Regions,
     driving: Regions,
@@ -60,9 +77,7 @@ def sparse_motions(
         (B, K + 1, height, width, 2) source coordinates; index 0 is the background.
     """
     grid = coordinate_grid(height, width, driving.shift.device)
-    matrix = relative_affine(source.affine, driving.affine, revert_axis_swap=revert_axis_swap)
-    # z -> M z + (mu_s - M mu_d): one small affine map a region
-    offset = source.shift - (matrix @ driving.shift[..., None])[..., 0]  # (B, K, 2)
+    matrix, offset = region_maps(source, driving, revert_axis_swap=revert_axis_swap)
     moved = torch.einsum("bkij,hwj->bkhwi", matrix, grid) + offset[:, :, None, None]
     still = grid.expand(len(moved), 1, height, width, 2)
     if background is not None:

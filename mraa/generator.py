@@ -83,6 +83,10 @@ class ImageGenerator(nn.Module):
         """The generated picture (B, 3, H, W) in [0, 1], before the warped source is blended in."""
         return self._paint(features, _Warper(flow, self.align_corners))
 
+    def blend(self, source: Tensor, painted: Tensor, flow: Flow) -> Tensor:
+        """What `paint` gave with the warped source where it shows what is needed."""
+        return _Warper(flow, self.align_corners).blend(source, painted) if self.skips else painted
+
     def _paint(self, features: list[Tensor], warper: _Warper) -> Tensor:
         warped, occlusion = warper(features[-1])
         x = self.bottleneck(warped * occlusion)
@@ -133,6 +137,10 @@ class LiteGenerator(nn.Module):
     def paint(self, features: list[Tensor], flow: Flow) -> Tensor:
         """The generated picture (B, 3, H, W) in [0, 1], before the warped source is blended in."""
         return self._paint(features, _Warper(flow, self.align_corners))
+
+    def blend(self, source: Tensor, painted: Tensor, flow: Flow) -> Tensor:
+        """What `paint` gave with the warped source where it shows what is needed."""
+        return _Warper(flow, self.align_corners).blend(source, painted)
 
     def _paint(self, features: list[Tensor], warper: _Warper) -> Tensor:
         half, quarter = features

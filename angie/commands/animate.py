@@ -5,7 +5,15 @@ from typing import Annotated
 
 import typer
 
-from angie.commands.options import Device, Force, Seed, device_of, square_of, want_file
+from angie.commands.options import (
+    Device,
+    Force,
+    Precision,
+    Seed,
+    device_of,
+    square_of,
+    want_file,
+)
 from data_prep.errors import BadInput
 
 
@@ -30,6 +38,7 @@ def animate(
     greedy: Annotated[
         bool, typer.Option("--greedy", help="Always the likeliest gesture, whatever the seed.")
     ] = False,
+    precision: Precision = "auto",
     force: Force = False,
 ) -> None:
     """Make the person of a photo gesture to a recording."""
@@ -56,6 +65,7 @@ def animate(
         person=person,
         scale_motion=scale_motion,
         greedy=greedy,
+        precision=precision,
         force=force,
     )
     print(f"{result.path}: {result.frames} frames, {result.seconds:.2f} s of sound")
@@ -67,9 +77,12 @@ def demo(
     ),
     seed: Seed = 0,
     device: Device = "auto",
+    precision: Precision = "auto",
     force: Force = False,
 ) -> None:
     """Animate the photo and the recording that ship."""
     from angie.demo import PHOTO, SPEECH
 
-    animate(PHOTO, SPEECH, output, seed=seed, device=device, force=force)
+    animate(
+        PHOTO, SPEECH, output, seed=seed, device=device, precision=precision, force=force
+    )

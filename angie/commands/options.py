@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing output.")]
 Seed = Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Everything random follows from it.")]
 Device = Annotated[str, typer.Option(help="auto, cpu, cuda or mps.")]
+Precision = Annotated[
+    str, typer.Option(help="Of the renderer: auto (the fastest the device has), fp32, bf16, fp16.")
+]
 Jobs = Annotated[int, typer.Option(min=0, help="Processes; 0 for one a core.")]
 
 
