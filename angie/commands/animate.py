@@ -83,6 +83,4 @@ def demo(
     """Animate the photo and the recording that ship."""
     from angie.demo import PHOTO, SPEECH
 
-    animate(
-        PHOTO, SPEECH, output, seed=seed, device=device, precision=precision, force=force
-    )
+    animate(PHOTO, SPEECH, output, seed=seed, device=device, precision=precision, force=force)
