@@ -19,7 +19,7 @@ from mraa.blocks import Hourglass, ResBlock
 from mraa.convolution import Convolution
 from mraa.flow import FlowPredictor, region_maps
 from mraa.folding import blocks, doubling, fold, norm_line, stacked
-from mraa.generator import ImageGenerator, LiteGenerator
+from mraa.generator import DeepGenerator, ImageGenerator, LiteGenerator
 from mraa.parts import Parts
 from mraa.regions import Regions
 from mraa.renderer import Renderer, Source
@@ -48,6 +48,8 @@ class Field:
     """(B, h, w) float32 in [0, 1]."""
     corners: bool
     """Grid convention of warps and resizes."""
+    features: Tensor
+    """(B, C, h, w), what the flow was made of (`mraa.flow.Flow.features`)."""
 
 
 class FoldedHourglass:
@@ -137,12 +139,13 @@ class FoldedFlow:
             self.corners,
             pixels(seen),
         )
-        logits = self.logits(self.hourglass(seen))
+        features = self.hourglass(seen)
+        logits = self.logits(features)
         count, _, height, width = self.shape
         flow = np.empty((count, height, width, 2), np.float32)
         occlusion = np.empty((count, height, width), np.float32)
         warp_kernel.flow_result(pixels(logits), maps, far, flow, occlusion)
-        return Field(flow, occlusion, self.corners)
+        return Field(flow, occlusion, self.corners, features)
 
 
 def _precision(regions: Regions) -> np.ndarray:
@@ -200,8 +203,109 @@ class FoldedResidual:
         return self.second(self.first(torch.addcmul(shift, x, scale).relu_())).add_(x)
 
 
-class FoldedGenerator:
-    """Either image generator, for one source.
+class Bottleneck:
+    """Residual blocks, one after the other."""
+
+    def __init__(self, blocks: Any, shape: Shape, dtype: torch.dtype) -> None:
+        self.blocks = [FoldedResidual(block, shape, dtype) for block in blocks]
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """(B, C, H, W) to the same shape."""
+        for block in self.blocks:
+            x = block(x)
+        return x
+
+
+class FoldedPaper:
+    """`mraa.generator.ImageGenerator` for one source; arguments as `fold_generator`."""
+
+    def __init__(
+        self, generator: ImageGenerator, features: list[Tensor], count: int, dtype: torch.dtype
+    ) -> None:
+        shapes = [(count, *f.shape[1:]) for f in features]
+        self.skips = generator.skips
+        self.bottleneck = Bottleneck(generator.bottleneck, shapes[-1], dtype)
+        ups = zip(generator.up_blocks, reversed(shapes[1:]), strict=True)
+        self.ups = [up_convolution(up, (count, *shape[2:]), dtype) for up, shape in ups]
+        last = blocks(fold(generator.final))  # three channels of 7x7 use a vector badly
+        self.final = Convolution(last, shapes[0], dtype=dtype, padding=3, stride=2, relu=False)
+        self.features = [Features(f, dtype) for f in features]
+
+    def __call__(self, field: Field) -> Tensor:
+        """Logits of the generated picture, (B, 12, H / 2, W / 2) as a pixel shuffle reads."""
+        *others, deepest = self.features
+        x = self.bottleneck(deepest.blend(field, None, warp_kernel.NONE))
+        if self.skips:
+            x = deepest.blend(field, x, warp_kernel.SAME)
+        for up, features in zip(self.ups, reversed(others), strict=True):
+            x = features.blend(field, up(x), warp_kernel.PHASES, warped=self.skips)
+        return self.final(x)
+
+
+class FoldedLite:
+    """`mraa.generator.LiteGenerator` for one source; arguments as `fold_generator`."""
+
+    skips = True
+
+    def __init__(
+        self, generator: LiteGenerator, features: list[Tensor], count: int, dtype: torch.dtype
+    ) -> None:
+        half, quarter = ((count, *f.shape[1:]) for f in features)
+        self.bottleneck = Bottleneck(generator.bottleneck, quarter, dtype)
+        self.up = up_convolution(generator.up, (count, *quarter[2:]), dtype)
+        self.final = Convolution(fold(generator.final), half, dtype=dtype, padding=1, relu=False)
+        self.half, self.quarter = (Features(f, dtype) for f in features)
+
+    def __call__(self, field: Field) -> Tensor:
+        """Logits of the generated picture, (B, 12, H / 2, W / 2) as a pixel shuffle reads."""
+        x = self.bottleneck(self.quarter.blend(field, None, warp_kernel.NONE))
+        return self.final(self.half.blend(field, self.up(x), warp_kernel.PHASES))
+
+
+class FoldedDeep:
+    """`mraa.generator.DeepGenerator` for one source; arguments as `fold_generator`."""
+
+    skips = True
+
+    def __init__(
+        self, generator: DeepGenerator, features: list[Tensor], count: int, dtype: torch.dtype
+    ) -> None:
+        half, quarter, eighth = ((count, *f.shape[1:]) for f in features)
+        pose, down = generator.pose, generator.pose_down
+        kernel = fold(pose.conv, pose.norm)
+        seen = (count, kernel.weight.shape[1], *quarter[2:])
+        self.pose = Convolution(kernel, seen, dtype=dtype)
+        seen = (count, len(kernel.bias), *eighth[2:])
+        self.pose_down = Convolution(fold(down.conv, down.norm), seen, dtype=dtype, padding=1)
+        self.bottleneck = Bottleneck(generator.bottleneck, eighth, dtype)
+        self.refine = Bottleneck(generator.refine, quarter, dtype)
+        sizes = [(count, *eighth[2:]), (count, *quarter[2:])]
+        ups = zip(generator.up_blocks, sizes, strict=True)
+        self.ups = [up_convolution(up, at, dtype) for up, at in ups]
+        self.final = Convolution(fold(generator.final), half, dtype=dtype, padding=1, relu=False)
+        self.half, self.quarter, self.eighth = (Features(f, dtype) for f in features)
+
+    def __call__(self, field: Field) -> Tensor:
+        """Logits of the generated picture, (B, 12, H / 2, W / 2) as a pixel shuffle reads."""
+        size = self.quarter.shape[1:]
+        seen = field.features
+        if seen.shape[2:] != size:
+            seen = F.interpolate(seen, size=size)
+        pose = self.pose(seen)
+        x = self.eighth.blend(field, None, warp_kernel.NONE)
+        x = self.bottleneck(x.add_(self.pose_down(F.avg_pool2d(pose, 2))))
+        x = self.quarter.blend(field, self.ups[0](x), warp_kernel.PHASES)
+        x = self.refine(x.add_(pose))
+        return self.final(self.half.blend(field, self.ups[1](x), warp_kernel.PHASES))
+
+
+FoldedGenerator = FoldedPaper | FoldedLite | FoldedDeep
+
+
+def fold_generator(
+    generator: nn.Module, features: list[Tensor], count: int, dtype: torch.dtype
+) -> FoldedGenerator:
+    """An image generator for one source.
 
     Args:
         generator: in eval mode.
@@ -209,49 +313,13 @@ class FoldedGenerator:
         count: B, frames at once.
         dtype: of features and convolutions.
     """
-
-    def __init__(
-        self,
-        generator: ImageGenerator | LiteGenerator,
-        features: list[Tensor],
-        count: int,
-        dtype: torch.dtype,
-    ) -> None:
-        self.skips = self.deepest_again = True
-        ups: list[nn.Module]
-        if isinstance(generator, ImageGenerator):
-            self.skips = self.deepest_again = generator.skips
-            ups = list(generator.up_blocks)
-            last, stride = blocks(fold(generator.final)), 2
-        else:
-            self.deepest_again = False
-            ups = [generator.up]
-            last, stride = fold(generator.final), 1
-        shape = (count, *features[-1].shape[1:])
-        self.residuals = [FoldedResidual(block, shape, dtype) for block in generator.bottleneck]
-        sizes = [(count, *f.shape[2:]) for f in reversed(features[1:])]
-        self.ups = [up_convolution(up, at, dtype) for up, at in zip(ups, sizes, strict=True)]
-        self.final = Convolution(
-            last,
-            (count, *features[0].shape[1:]),
-            dtype=dtype,
-            padding=generator.final.kernel_size[0] // 2,
-            stride=stride,
-            relu=False,
-        )
-        self.features = [Features(f, dtype) for f in features]
-
-    def __call__(self, field: Field) -> Tensor:
-        """Logits of the generated picture, (B, 12, H / 2, W / 2) as a pixel shuffle reads."""
-        *others, deepest = self.features
-        x = deepest.blend(field, None, warp_kernel.NONE)
-        for residual in self.residuals:
-            x = residual(x)
-        if self.deepest_again:
-            x = deepest.blend(field, x, warp_kernel.SAME)
-        for up, features in zip(self.ups, reversed(others), strict=True):
-            x = features.blend(field, up(x), warp_kernel.PHASES, warped=self.skips)
-        return self.final(x)
+    if isinstance(generator, ImageGenerator):
+        return FoldedPaper(generator, features, count, dtype)
+    if isinstance(generator, LiteGenerator):
+        return FoldedLite(generator, features, count, dtype)
+    if isinstance(generator, DeepGenerator):
+        return FoldedDeep(generator, features, count, dtype)
+    raise TypeError(f"no fast way to draw with a {type(generator).__name__}")
 
 
 class Folded:
@@ -267,7 +335,7 @@ class Folded:
     def __init__(self, renderer: Renderer, source: Source, count: int, dtype: torch.dtype) -> None:
         self.photo = source.image[0].permute(1, 2, 0).contiguous().numpy()
         self.flow = FoldedFlow(renderer.flow, source.small, source.regions, count, dtype)
-        self.generator = FoldedGenerator(renderer.generator, source.features, count, dtype)
+        self.generator = fold_generator(renderer.generator, source.features, count, dtype)
 
     @torch.no_grad()
     def __call__(self, driving: Regions, background: Tensor, painted: bool) -> Parts:

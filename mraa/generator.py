@@ -206,6 +206,10 @@ class DeepGenerator(nn.Module):
         """The generated picture (B, 3, H, W) in [0, 1], before the warped source is blended in."""
         return self._paint(features, flow, _Warper(flow, self.align_corners))
 
+    def blend(self, source: Tensor, painted: Tensor, flow: Flow) -> Tensor:
+        """What `paint` gave with the warped source where it shows what is needed."""
+        return _Warper(flow, self.align_corners).blend(source, painted)
+
     def _paint(self, features: list[Tensor], flow: Flow, warper: _Warper) -> Tensor:
         half, quarter, eighth = features
         pose = self.pose(F.interpolate(flow.features, size=quarter.shape[2:]))

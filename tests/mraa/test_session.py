@@ -30,7 +30,7 @@ def psnr(value, wanted):
 
 def make(design, regions=5, **changes):
     """A small renderer whose norms do something and whose output is not saturated."""
-    sizes = GeneratorConfig(design, width=32 if design == "lite" else 16, bottleneck_blocks=2)
+    sizes = GeneratorConfig(design, width=16 if design == "paper" else 32, bottleneck_blocks=2)
     config = RendererConfig(
         regions=regions,
         estimator=HourglassConfig(8, 3, 32),
@@ -94,7 +94,7 @@ def plain(renderer, photo, regions, motion, background=None):
 
 
 @pytest.mark.parametrize("corners", [True, False])
-@pytest.mark.parametrize("design", ["paper", "lite"])
+@pytest.mark.parametrize("design", ["paper", "lite", "deep"])
 def test_float32_is_exact(design, corners):
     renderer, photo = make(design, align_corners=corners), picture()
     regions, motion = poses(renderer, photo, 5)
@@ -140,7 +140,7 @@ def test_other_sizes_and_numbers_of_regions(size, count):
 
 
 @needs_bf16
-@pytest.mark.parametrize("design", ["paper", "lite"])
+@pytest.mark.parametrize("design", ["paper", "lite", "deep"])
 def test_bfloat16_is_near(design):
     renderer, photo = make(design), picture()
     regions, motion = poses(renderer, photo, 4)
@@ -151,7 +151,7 @@ def test_bfloat16_is_near(design):
 
 
 @pytest.mark.parametrize("precision", ["fp32", pytest.param("bf16", marks=needs_bf16)])
-@pytest.mark.parametrize("design", ["paper", "lite"])
+@pytest.mark.parametrize("design", ["paper", "lite", "deep"])
 def test_the_same_bits_however_the_motion_is_cut(design, precision):
     renderer, photo = make(design), picture()
     regions, motion = poses(renderer, photo, 11)
@@ -179,14 +179,13 @@ def test_the_renderer_is_left_as_it_was():
     photo = picture()
     regions, motion = poses(copy.deepcopy(renderer).eval(), photo, 2)
     threads = torch.get_num_threads()
-    for drawer in (RenderSession(renderer, photo, regions),):
-        list(drawer.frames(motion))
+    list(RenderSession(renderer, photo, regions).frames(motion))
     assert renderer.training and torch.get_num_threads() == threads
     for key, value in renderer.state_dict().items():
         assert torch.equal(value, before[key])
 
 
-@pytest.mark.parametrize("design", ["paper", "lite"])
+@pytest.mark.parametrize("design", ["paper", "lite", "deep"])
 def test_the_way_of_gpus_is_exact_in_float32(design):
     renderer, photo = make(design), picture()
     regions, motion = poses(renderer, photo, 2)
