@@ -31,11 +31,11 @@ from data_prep.rates import FPS
 from data_prep.speaker import FACE_DOWN, SIDE_IN_FACES
 from mraa.allocator import keep_memory
 from mraa.image_metrics import PerceptualDistance
-from mraa.losses import backend_of, load_vgg19
 from mraa.reconstruction import reconstruct
 from mraa.renderer import Renderer
 from mraa.run import RunConfig, launch, native_precision
 from mraa.training import load_initial, train_renderer
+from mraa.vgg import load_vgg19
 
 STAGES = ("renderer", "motion", "vq", "gpt", "refiner")
 """Stages of training in their order; each makes one part of the bundle."""
@@ -106,7 +106,7 @@ class Trainer:
             resume=self.resume,
         )
         report: dict[str, Any] = {
-            "perceptual": backend_of(preset.train_renderer.perceptual_weights),
+            "perceptual": preset.train_renderer.backend,
             "precision": self.run.precision,
         }
         tests = self.dataset.clips("test")

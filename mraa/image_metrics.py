@@ -7,14 +7,14 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mraa.blocks import AntiAliasDown
-from mraa.losses import PYRAMID_SCALES, load_vgg19, random_vgg
+from mraa.pyramid import ImagePyramid
+from mraa.vgg import load_vgg19, random_vgg
 
 SSIM_SIGMA = 1.5
 """Standard deviation of SSIM's window in pixels."""
 
-SSIM_RADIUS = 5
-"""Half width of SSIM's window: 11 pixels a side."""
+SSIM_SIZE = 11
+"""Side of SSIM's window in pixels."""
 
 PERCEPTUAL_WEIGHT = 10.0
 """Of every scale and layer of the perceptual distance, as in MRAA's loss."""
@@ -47,7 +47,7 @@ def ssim(image: Tensor, truth: Tensor) -> Tensor:
     Raises:
         ValueError: images smaller than the window.
     """
-    if min(image.shape[2:]) <= 2 * SSIM_RADIUS:
+    if min(image.shape[2:]) < SSIM_SIZE:
         raise ValueError("SSIM wants images of at least 11x11 pixels")
     count = image.shape[1]
     both = torch.cat([image, truth, image * image, truth * truth, image * truth], dim=1).float()
@@ -62,7 +62,7 @@ def ssim(image: Tensor, truth: Tensor) -> Tensor:
 def _window_means(x: Tensor) -> Tensor:
     """Gaussian means of (B, C, H, W) around every pixel whose window lies inside."""
     channels = x.shape[1]
-    offsets = torch.arange(-SSIM_RADIUS, SSIM_RADIUS + 1, dtype=torch.float32, device=x.device)
+    offsets = torch.arange(SSIM_SIZE, dtype=torch.float32, device=x.device) - SSIM_SIZE // 2
     line = torch.exp(-(offsets**2) / (2 * SSIM_SIGMA**2))
     line = (line / line.sum()).repeat(channels, 1, 1, 1)  # (C, 1, 1, 11)
     with torch.autocast(x.device.type, enabled=False):
@@ -87,14 +87,14 @@ class PerceptualDistance(nn.Module):
         super().__init__()
         self.backend = "vgg19" if weights else "random_vgg"
         self.vgg = load_vgg19(Path(weights)) if weights else random_vgg(32)
-        self.downs = nn.ModuleList(AntiAliasDown(3, scale) for scale in PYRAMID_SCALES)
+        self.pyramid = ImagePyramid()
 
     @torch.no_grad()
     def forward(self, image: Tensor, truth: Tensor) -> Tensor:
         """Distance (B,) of images (B, 3, H, W) in [0, 1]."""
         total = image.new_zeros(len(image))
-        for down in self.downs:
-            for a, b in zip(self.vgg(down(image)), self.vgg(down(truth)), strict=True):
+        for small, wanted in zip(self.pyramid(image), self.pyramid(truth), strict=True):
+            for a, b in zip(self.vgg(small), self.vgg(wanted), strict=True):
                 total = total + PERCEPTUAL_WEIGHT * l1(a, b)
         return total
 

@@ -13,8 +13,10 @@ from torch import Tensor, nn
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
 from data_prep.rates import IMAGE_SIZE
-from mraa.losses import PYRAMID_SCALES, PerceptualPyramid, equivariance_of
+from mraa.losses import equivariance_of
 from mraa.pairs import Augmentation, FramePairs
+from mraa.perceptual import BACKENDS, PerceptualPyramid, backend_of
+from mraa.pyramid import PYRAMID_SCALES
 from mraa.renderer import Renderer, RendererConfig, from_pixels
 from mraa.run import Run, RunConfig
 from mraa.sheet import write_sheet
@@ -34,8 +36,11 @@ class RendererTraining:
     betas: tuple[float, float] = (0.5, 0.999)
     milestones: tuple[float, ...] = (0.6, 0.9)
     """Parts of the run after which the rate falls to a tenth (epochs 60 and 90 of 100)."""
+    perceptual_backend: str = "auto"
+    """What compares the pictures: vgg19, random_vgg, lap or random_vgg+lap (see
+    `mraa.perceptual`); auto is vgg19 where its weights are given, else random_vgg+lap."""
     perceptual_weights: str = ""
-    """File of VGG19's weights; empty for the fixed random network and Laplacian pyramid."""
+    """File of VGG19's weights, torchvision's state dict as .pth or .safetensors."""
     perceptual_width: int = 32
     """Width of the fixed random network."""
     perceptual_scales: tuple[float, ...] = PYRAMID_SCALES
@@ -78,8 +83,17 @@ class RendererTraining:
             raise ValueError("clip must be positive, warm-up and zoom not negative")
         if self.augmentation.zoom >= 1 or not self.perceptual_scales:
             raise ValueError("zoom must lie below 1, and perceptual_scales name at least one")
+        if self.perceptual_backend not in ("auto", *BACKENDS):
+            raise ValueError(f"perceptual_backend is auto, {', '.join(BACKENDS)}")
+        if self.backend == "vgg19" and not self.perceptual_weights:
+            raise ValueError("perceptual_backend vgg19 needs its file in perceptual_weights")
         if self.warmup_size not in (64, 128, 256):
             raise ValueError("warmup_size is 64, 128 or 256")
+
+    @property
+    def backend(self) -> str:
+        """Name of the perceptual backend that these settings mean."""
+        return backend_of(self.perceptual_backend, self.perceptual_weights)
 
 
 class _Objective(nn.Module):
@@ -237,6 +251,7 @@ def _train(
     adam = torch.optim.Adam(renderer.parameters(), lr=training.rate, betas=training.betas)
     objective, optimizer = run.setup(_Objective(renderer, training, stage.motion_alone), adam)
     perceptual = PerceptualPyramid(
+        training.backend,
         training.perceptual_weights,
         training.perceptual_width,
         training.perceptual_scales,

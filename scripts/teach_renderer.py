@@ -26,8 +26,8 @@ from data_prep.dataset import Dataset
 from data_prep.progress import progress
 from mraa.allocator import keep_memory
 from mraa.grid import coordinate_grid
-from mraa.losses import PerceptualPyramid
 from mraa.pairs import Augmentation, augment
+from mraa.perceptual import PerceptualPyramid
 from mraa.renderer import Renderer, from_pixels
 from mraa.training import load_initial
 
@@ -165,7 +165,7 @@ def teach_masks(renderer: Renderer, frames: TaughtFrames, random: np.random.Gene
     """Draw the masks to the limbs of the driving frame and the blend to its picture."""
     renderer.estimator.eval()
     optimizer = torch.optim.Adam(renderer.flow.parameters(), lr=RATE)
-    perceptual = PerceptualPyramid("", 16, (1.0, 0.5, 0.25), 1.0)
+    perceptual = PerceptualPyramid(width=16, scales=(1.0, 0.5, 0.25), weight=1.0)
     for part in course("teach masks", MASK_STEPS, optimizer):
         images, targets = frames.batch(random, 8)
         source, driving = images.unbind(1)

@@ -9,8 +9,9 @@ from safetensors.torch import load_file
 
 from mraa.affine import relative_affine
 from mraa.grid import resize_flow, warp
-from mraa.losses import PYRAMID_SCALES, PerceptualPyramid, equivariance, image_pyramid
+from mraa.losses import equivariance
 from mraa.modes import relative_regions
+from mraa.pyramid import PYRAMID_SCALES, ImagePyramid
 from mraa.released import config_from_released, load_released, our_name, read_checkpoint
 from mraa.renderer import Renderer, RendererConfig, make_avd
 from mraa.transform import ThinPlate
@@ -84,7 +85,7 @@ def test_an_opened_photo_draws_the_same_frames(networks, regions, io):
 
 
 def test_pyramid(io):
-    levels = image_pyramid(io["in.source"], PerceptualPyramid(width=8).downs)
+    levels = ImagePyramid()(io["in.source"])
     for scale, level in zip(PYRAMID_SCALES, levels, strict=True):
         close(level, io[f"out.pyramid.{scale:g}"])
 

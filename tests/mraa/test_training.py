@@ -1,10 +1,7 @@
 import numpy as np
-import pytest
 import torch
 from safetensors.torch import save_file
 
-from data_prep.errors import BadInput
-from mraa.losses import PerceptualPyramid, Vgg, load_vgg19, random_vgg
 from mraa.pairs import Augmentation, FramePairs, augment
 from mraa.renderer import GeneratorConfig, HourglassConfig, Renderer, RendererConfig
 from mraa.training import RendererTraining, _Objective, train_renderer
@@ -100,51 +97,3 @@ def test_flips():
     how = Augmentation(1, 1, 0, 0, 0, 0)
     made = augment(pair, how, np.random.default_rng(0))
     assert made[1, 0, 3, 0] == 200 and made.sum() == pair.sum()
-
-
-def test_random_vgg_follows_from_its_seed_and_is_calibrated():
-    torch.manual_seed(1)
-    a = random_vgg(8)
-    torch.manual_seed(2)
-    b = random_vgg(8)
-    image = torch.rand(1, 3, 64, 64)
-    taps = a(image)
-    assert len(taps) == 5 and [t.shape[1] for t in taps] == [8, 16, 32, 64, 64]
-    assert all(torch.equal(x, y) for x, y in zip(taps, b(image), strict=True))
-
-
-def test_perceptual_distance_grows_with_the_difference():
-    loss = PerceptualPyramid(width=8)
-    image = torch.rand(1, 3, 64, 64)
-    near, far = (loss(image, (image + s * torch.randn_like(image))) for s in (0.02, 0.2))
-    assert float(loss(image, image)) == 0 < float(near) < float(far)
-
-
-def test_vgg19_from_a_local_file(tmp_path):
-    """The taps of a file in torchvision's naming are those of its own sequence of layers."""
-    torch.manual_seed(0)
-    layers, channels, taps = [], 3, []
-    for width, count in zip((64, 128, 256, 512, 512), (2, 2, 4, 4, 4), strict=True):
-        for number in range(count):
-            if number == 0:
-                taps.append(len(layers) + 1)
-            layers += [torch.nn.Conv2d(channels, width, 3, padding=1), torch.nn.ReLU()]
-            channels = width
-        layers.append(torch.nn.MaxPool2d(2))
-    features = torch.nn.Sequential(*layers)
-    path = tmp_path / "vgg19.pth"
-    torch.save({f"features.{k}": v for k, v in features.state_dict().items()}, path)
-    vgg = load_vgg19(path)
-    image = torch.rand(1, 3, 32, 32)
-    x = (image - vgg.mean) / vgg.std
-    for tap, ours in zip(taps, vgg(image), strict=True):
-        torch.testing.assert_close(features[: tap + 1](x), ours)
-
-
-def test_wrong_vgg_files_are_told(tmp_path):
-    with pytest.raises(BadInput, match="no such file"):
-        load_vgg19(tmp_path / "none.pth")
-    (tmp_path / "bad.pth").write_bytes(b"nothing")
-    with pytest.raises(BadInput, match="not a VGG19 state dict"):
-        load_vgg19(tmp_path / "bad.pth")
-    assert sum(p.requires_grad for p in Vgg().parameters()) == 0

@@ -1,0 +1,89 @@
+import pytest
+import torch
+
+from data_prep.errors import BadInput
+from mraa.image_metrics import ssim
+from mraa.perceptual import PerceptualPyramid
+from mraa.pyramid import ImagePyramid, laplacian_distance
+from mraa.training import RendererTraining
+from mraa.vgg import Vgg, load_vgg19, random_vgg
+
+
+def test_random_vgg_follows_from_its_seed_and_is_calibrated():
+    torch.manual_seed(1)
+    a = random_vgg(8)
+    torch.manual_seed(2)
+    b = random_vgg(8)
+    image = torch.rand(1, 3, 64, 64)
+    taps = a(image)
+    assert len(taps) == 5 and [t.shape[1] for t in taps] == [8, 16, 32, 64, 64]
+    assert all(torch.equal(x, y) for x, y in zip(taps, b(image), strict=True))
+
+
+@pytest.mark.parametrize("backend", ["random_vgg", "lap", "random_vgg+lap"])
+def test_perceptual_distance_grows_with_the_difference(backend):
+    torch.manual_seed(0)
+    loss = PerceptualPyramid(backend, width=8)
+    assert loss.backend == backend
+    image = torch.rand(1, 3, 64, 64)
+    near, far = (loss(image, (image + s * torch.randn_like(image))) for s in (0.02, 0.2))
+    assert abs(float(loss(image, image))) < 1e-5 < float(near) < float(far)
+
+
+def test_vgg19_from_a_local_file(tmp_path):
+    """The taps of a file in torchvision's naming are those of its own sequence of layers."""
+    torch.manual_seed(0)
+    layers, channels, taps = [], 3, []
+    for width, count in zip((64, 128, 256, 512, 512), (2, 2, 4, 4, 4), strict=True):
+        for number in range(count):
+            if number == 0:
+                taps.append(len(layers) + 1)
+            layers += [torch.nn.Conv2d(channels, width, 3, padding=1), torch.nn.ReLU()]
+            channels = width
+        layers.append(torch.nn.MaxPool2d(2))
+    features = torch.nn.Sequential(*layers)
+    path = tmp_path / "vgg19.pth"
+    torch.save({f"features.{k}": v for k, v in features.state_dict().items()}, path)
+    vgg = load_vgg19(path)
+    image = torch.rand(1, 3, 32, 32)
+    x = (image - vgg.mean) / vgg.std
+    for tap, ours in zip(taps, vgg(image), strict=True):
+        torch.testing.assert_close(features[: tap + 1](x), ours)
+
+
+def test_wrong_vgg_files_are_told(tmp_path):
+    with pytest.raises(BadInput, match="no such file"):
+        load_vgg19(tmp_path / "none.pth")
+    (tmp_path / "bad.pth").write_bytes(b"nothing")
+    with pytest.raises(BadInput, match="not a VGG19 state dict"):
+        load_vgg19(tmp_path / "bad.pth")
+    assert sum(p.requires_grad for p in Vgg().parameters()) == 0
+
+
+def test_the_parts_of_the_offline_backend_add_up():
+    torch.manual_seed(0)
+    image, truth = torch.rand(2, 1, 3, 64, 64)
+    deep, bands, both = (
+        float(PerceptualPyramid(name, width=8, weight=3.0)(image, truth))
+        for name in ("random_vgg", "lap", "auto")
+    )
+    assert both == pytest.approx(deep + bands)
+    pyramid = ImagePyramid()
+    distance = laplacian_distance(pyramid(image), pyramid(truth))
+    assert bands == pytest.approx(3 * float(4 * distance + 1 - ssim(image, truth)[0]))
+
+
+def test_bands_of_a_flat_difference_are_all_in_the_coarsest():
+    """A constant 0.5 has no detail: every band but the last is zero but for the borders."""
+    flat = [torch.full((1, 3, s, s), 0.5) for s in (32, 16, 8, 4)]
+    assert float(laplacian_distance(flat, [0 * x for x in flat])) == pytest.approx(0.5)
+
+
+def test_which_backend_settings_mean():
+    assert RendererTraining().backend == "random_vgg+lap"
+    assert RendererTraining(perceptual_weights="vgg.pth").backend == "vgg19"
+    assert RendererTraining(perceptual_backend="lap", perceptual_weights="x").backend == "lap"
+    with pytest.raises(ValueError, match="needs its file"):
+        RendererTraining(perceptual_backend="vgg19")
+    with pytest.raises(ValueError, match="is auto, vgg19, random_vgg"):
+        RendererTraining(perceptual_backend="lpips")
