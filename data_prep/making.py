@@ -1,5 +1,7 @@
 """One source from start to end: its transcript, its clips, its contact sheet, its record."""
 
+import errno
+import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +19,9 @@ from data_prep.source import Source
 from data_prep.transcript import read_transcript
 from data_prep.video import probe
 from data_prep.words import Word
+
+LEAST_ROOM = 4 << 20
+"""Bytes that must be free for a failure not to be the disk's."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,9 @@ def make_source(order: Order) -> Record:
     """Make the files of a source in a folder of its own.
 
     Nothing is raised for what is wrong with the video: its record tells it.
+
+    Raises:
+        OSError: the disk is full. That is no video's fault, and the next run goes on there.
     """
     for name in FOLDERS:
         (order.folder / name).mkdir(parents=True)
@@ -56,9 +64,11 @@ def make_source(order: Order) -> Record:
 
 
 def _make(order: Order) -> Record:
-    words, warnings = _words(order)
+    words: list[Word] | None = None
+    warnings: list[str] = []
     key = order.key
     try:
+        words, warnings = _words(order)
         outcome = ingest(order.source, order.folder, order.config, words)
     except Exception as error:  # one video out of hundreds must not end the night's work
         what = " ".join(f"{type(error).__name__}: {error}".split())
@@ -66,6 +76,7 @@ def _make(order: Order) -> Record:
         outcome = Outcome(order.source, order.sha256, refused=refused)
         key = ""
     if outcome.refused is not None:
+        check_room(order.folder)
         outcome = replace(outcome, clips=[], details={})
         warnings = []
         for name in FOLDERS:
@@ -80,6 +91,17 @@ def _make(order: Order) -> Record:
         write_sheet(order.folder / "sheet.jpg", outcome),
         files_of(order.folder),
     )
+
+
+def check_room(folder: Path) -> None:
+    """Stop where a disk is full: whatever failed there failed of it.
+
+    Raises:
+        OSError: less than `LEAST_ROOM` is free.
+    """
+    if shutil.disk_usage(folder).free < LEAST_ROOM:
+        what = "no space is left on the disk; make room and repeat the command, it goes on there"
+        raise OSError(errno.ENOSPC, what, str(folder))
 
 
 def _words(order: Order) -> tuple[list[Word] | None, list[str]]:

@@ -1,13 +1,16 @@
 """Preparing videos: clips in step with their sound, splits, refusals, nothing left behind."""
 
+import errno
 import json
 import os
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from data_prep import clip_files, making
 from data_prep.cutting import LONGEST, SHORTEST, clip_bounds
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
@@ -129,6 +132,52 @@ def test_nothing_is_left_behind(tmp_path: Path, person: Draw) -> None:
     (tmp_path / "void").mkdir()
     with pytest.raises(BadInput, match="holds no videos"):
         prepare([tmp_path / "void"], tmp_path / "data", jobs=1)
+
+
+def test_a_full_disk_stops_the_run_and_keeps_what_is_done(
+    tmp_path: Path, person: Draw, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("1.mp4", "2.mp4"):
+        write_talk(
+            tmp_path / "ann" / name, person, 4.0 + 0.2 * (name == "2.mp4"), pauses(4, []), ()
+        )
+    free = shutil.disk_usage(tmp_path)
+    write = clip_files.write_frames
+
+    def fail(path: Path, frames: Iterator[bytes]) -> None:
+        if "_2_" in path.name:
+            monkeypatch.setattr(shutil, "disk_usage", lambda path: free._replace(free=0))
+            raise RuntimeError("No space left on device")
+        write(path, frames)
+
+    monkeypatch.setattr(clip_files, "write_frames", fail)
+    with pytest.raises(OSError, match="no space is left") as error:
+        prepare([tmp_path / "ann"], tmp_path / "data")
+    assert error.value.errno == errno.ENOSPC
+    monkeypatch.undo()
+    summary = prepare([tmp_path / "ann"], tmp_path / "data")
+    assert summary.done_before == 1 and len(summary.clips) == 2 and not summary.refused
+
+
+def test_what_fails_unexpectedly_is_told_and_tried_again(
+    tmp_path: Path, person: Draw, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("1.mp4", "2.mp4"):
+        write_talk(
+            tmp_path / "ann" / name, person, 4.0 + 0.2 * (name == "2.mp4"), pauses(4, []), ()
+        )
+    (tmp_path / "ann" / "2.txt").write_text("some words")
+
+    def fail(path: Path) -> None:
+        raise RuntimeError("a bug in the reader")
+
+    monkeypatch.setattr(making, "read_transcript", fail)
+    summary = prepare([tmp_path / "ann"], tmp_path / "data")
+    ((path, reason),) = summary.refused
+    assert path.name == "2.mp4" and "RuntimeError: a bug in the reader" in reason
+    monkeypatch.undo()
+    summary = prepare([tmp_path / "ann"], tmp_path / "data")
+    assert summary.done_before == 1 and len(summary.clips) == 2 and not summary.refused
 
 
 def test_a_given_crop_is_taken(tmp_path: Path, person: Draw) -> None:
