@@ -6,6 +6,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from angie.continuation import Window, continue_codes
 from angie.drift import MODES, bounded, integrate_bounded, remove_mean
 from angie.gpt import CoSpeechGPT
 from angie.motion import Motion, integrate, positive, render_floor
@@ -51,12 +52,14 @@ class GenerationConfig:
 
     Attributes:
         sampling: how codes are chosen.
+        window: what the GPT sees of long sound.
         bounding: drift bounding, "auto" (above 10 s), "on" or "off".
         decode: "full" (all codes in one pass) or "chunked" (12 codes every 6, cross-faded).
         refine: add the refiner's residuals.
     """
 
     sampling: Sampling = field(default_factory=Sampling)
+    window: Window = field(default_factory=Window)
     bounding: str = "off"
     decode: str = "full"
     refine: bool = True
@@ -163,7 +166,15 @@ class AngieGenerator:
         begin = self.vq.start_codes()[:, None] if start_codes is None else start_codes
         standard = self.statistics.standard_onset(onset)
         voiced = voiced_tokens(onset)
-        return self.gpt.generate(begin, standard, self.config.sampling, generator, voiced)
+        return continue_codes(
+            self.gpt,
+            begin,
+            standard,
+            self.config.sampling,
+            generator,
+            voiced=voiced,
+            window=self.config.window,
+        )
 
     def _decode(self, codes: Tensor) -> Tensor:
         """Normalised deltas (8S, 5K) of codes (2, S) on the CPU."""

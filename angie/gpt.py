@@ -1,22 +1,18 @@
-"""The co-speech GPT: the next pair of motion codes from the codes so far and the sound.
+"""The co-speech GPT: the next codes of the motion from the codes so far and the sound.
 
 ANGIE (NeurIPS 2022), section 3.3, with the cross-conditional causal attention that it takes from
 Bailando: three blocks of tokens (sound, shift codes, Cholesky codes), in which step s sees the
 steps up to s of all three blocks.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from angie.sampling import Sampling, draw
 from angie.windows import WINDOW_TOKENS
 from data_prep.features import ONSET_SIZE
-
-BLOCKS = 3
-"""Sound, shift codes, Cholesky codes."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +27,9 @@ class GPTConfig:
         layers: transformer layers; the paper does not say, Bailando's are 6 base and 6 head.
         block: most steps seen at once; 11 steps predict codes 2 to 12 of a window of 96 frames.
         dropout: of embeddings, attention and layers.
+        streams: code streams; 2 are shift and Cholesky factor, 1 is shift alone (keypoints).
+        joint: one model for several speakers: an embedding of the speaker, and one of anyone
+            for a speaker who is not known, is added to the tokens of the sound.
     """
 
     codes: int = 512
@@ -40,10 +39,54 @@ class GPTConfig:
     layers: int = 12
     block: int = WINDOW_TOKENS - 1
     dropout: float = 0.1
+    streams: int = field(default=2, metadata={"later": True})
+    joint: bool = field(default=False, metadata={"later": True})
+
+    def __post_init__(self) -> None:
+        if self.streams not in (1, 2):
+            raise ValueError(f"there are 1 or 2 streams of codes, not {self.streams}")
+
+    @property
+    def blocks(self) -> int:
+        """Blocks of tokens: the sound and each stream of codes."""
+        return 1 + self.streams
+
+
+class KeyValues:
+    """Keys and values of the steps that a window holds so far, in every layer.
+
+    Valid while positions stay: when the window moves, every position changes and all of it has
+    to be computed again.
+
+    Args:
+        config: of the GPT.
+        batch: sequences B.
+        device: where it lies.
+    """
+
+    def __init__(self, config: GPTConfig, batch: int, device: torch.device) -> None:
+        size = config.width // config.heads
+        shape = (config.layers, 2, batch, config.heads, config.blocks * config.block, size)
+        self.values = torch.empty(shape, device=device)
+        self.blocks, self.block = config.blocks, config.block
+        self.steps = 0
+
+    @property
+    def full(self) -> bool:
+        """Whether the window has no room for another step."""
+        return self.steps == self.block
+
+    def extend(self, layer: int, key: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
+        """Add tokens (B, heads, n, D / heads) to a layer; all it holds, the new ones last."""
+        first = self.steps * self.blocks
+        last = first + key.shape[2]
+        keys, values = self.values[layer].unbind()
+        keys[:, :, first:last], values[:, :, first:last] = key, value
+        return keys[:, :, :last], values[:, :, :last]
 
 
 class CausalAttention(nn.Module):
-    """Self-attention over three blocks of S steps, causal in the steps."""
+    """Self-attention over blocks of S steps, causal in the steps."""
 
     def __init__(self, width: int, heads: int, dropout: float) -> None:
         super().__init__()
@@ -54,12 +97,19 @@ class CausalAttention(nn.Module):
         self.out = nn.Linear(width, width)
         self.dropout = nn.Dropout(dropout)
 
-    def forward(self, tokens: Tensor, mask: Tensor) -> Tensor:
-        """Tokens (B, 3S, D) and mask (3S, 3S), true where attention is allowed."""
+    def forward(
+        self, tokens: Tensor, mask: Tensor | None, cache: KeyValues | None = None, layer: int = 0
+    ) -> Tensor:
+        """Tokens (B, n, D) and mask (n, n), true where attention is allowed, None everywhere.
+
+        With a cache the tokens also see all that it holds of this layer, and join it.
+        """
         query, key, value = (
-            part.unflatten(-1, (self.heads, -1)).transpose(1, 2)  # (B, heads, 3S, D / heads)
+            part.unflatten(-1, (self.heads, -1)).transpose(1, 2)  # (B, heads, n, D / heads)
             for part in self.mix(tokens).chunk(3, dim=-1)
         )
+        if cache is not None:
+            key, value = cache.extend(layer, key, value)
         mixed = functional.scaled_dot_product_attention(
             query, key, value, attn_mask=mask, dropout_p=self.rate if self.training else 0.0
         )
@@ -81,117 +131,143 @@ class Layer(nn.Module):
             nn.Dropout(dropout),
         )
 
-    def forward(self, tokens: Tensor, mask: Tensor) -> Tensor:
-        """Tokens (B, 3S, D) to the same shape."""
-        tokens = tokens + self.attention(self.norm1(tokens), mask)
+    def forward(
+        self, tokens: Tensor, mask: Tensor | None, cache: KeyValues | None = None, layer: int = 0
+    ) -> Tensor:
+        """Tokens (B, n, D) to the same shape; see `CausalAttention`."""
+        tokens = tokens + self.attention(self.norm1(tokens), mask, cache, layer)
         return tokens + self.mlp(self.norm2(tokens))
 
 
 class CoSpeechGPT(nn.Module):
-    """Logits of the next codes of both streams.
+    """Logits of the next codes of all streams.
 
     Args:
         config: architecture.
+        speakers: speakers P of the training set, for `config.joint`.
     """
 
-    def __init__(self, config: GPTConfig) -> None:
+    def __init__(self, config: GPTConfig, speakers: int = 1) -> None:
         super().__init__()
         self.config = config
         width, dropout = config.width, config.dropout
         self.sound = nn.Linear(config.onset, width)
         self.shift = nn.Embedding(config.codes, width)
-        self.cholesky = nn.Embedding(config.codes, width)
-        self.positions = nn.Parameter(torch.zeros(1, BLOCKS * config.block, width))
+        if config.streams > 1:
+            self.cholesky = nn.Embedding(config.codes, width)
+        self.positions = nn.Parameter(torch.zeros(1, config.blocks * config.block, width))
         self.dropout = nn.Dropout(dropout)
         self.layers = nn.ModuleList(
             Layer(width, config.heads, dropout) for _ in range(config.layers)
         )
         self.norm = nn.LayerNorm(width)
         self.shift_head = nn.Linear(width, config.codes, bias=False)
-        self.cholesky_head = nn.Linear(width, config.codes, bias=False)
+        if config.streams > 1:
+            self.cholesky_head = nn.Linear(width, config.codes, bias=False)
+        self.speaker = nn.Embedding(speakers + 1, width) if config.joint else None
         self.apply(_initialise)
         nn.init.normal_(self.positions, std=0.02)
 
-    def forward(self, codes: Tensor, onset: Tensor) -> Tensor:
-        """Predict the code pair that follows each step.
+    def forward(self, codes: Tensor, onset: Tensor, speaker: Tensor | None = None) -> Tensor:
+        """Predict the codes that follow each step.
 
         Args:
-            codes: (B, 2, S) int64 in [0, V), shift stream first; 1 <= S <= block.
+            codes: (B, streams, S) int64 in [0, V), shift stream first; 1 <= S <= block.
             onset: (B, S, 426) standardised features of the target steps: row s is the sound of
                 the step whose codes are predicted from codes[..., : s + 1].
+            speaker: (B,) int64 places in the training set's speakers, P for anyone; None is
+                anyone. Seen by joint models alone.
 
         Returns:
-            (B, 2, S, V) logits; those of step s depend on nothing later than s.
+            (B, streams, S, V) logits; those of step s depend on nothing later than s.
 
         Raises:
             ValueError: shapes that do not fit.
         """
-        batch, streams, steps = codes.shape
-        if streams != 2 or not 1 <= steps <= self.config.block:
-            raise ValueError(
-                f"codes are (B, 2, S) with S up to {self.config.block}, not {tuple(codes.shape)}"
-            )
-        if onset.shape != (batch, steps, self.config.onset):
-            raise ValueError(f"onset of {tuple(codes.shape)} codes is {tuple(onset.shape)}")
-        tokens = torch.stack(
-            [self.sound(onset), self.shift(codes[:, 0]), self.cholesky(codes[:, 1])], dim=1
-        )
-        places = self.positions.unflatten(1, (BLOCKS, self.config.block))[:, :, :steps]
-        tokens = self.dropout(tokens + places).flatten(1, 2)  # (B, 3S, D)
-        causal = torch.ones(steps, steps, dtype=torch.bool, device=codes.device).tril()
-        mask = causal.repeat(BLOCKS, BLOCKS)
+        steps = codes.shape[-1]
+        tokens = self.dropout(self._embed(codes, onset, speaker, 0))
+        mask = self._mask(steps, codes.device)
         for layer in self.layers:
             tokens = layer(tokens, mask)
-        _, shift, cholesky = self.norm(tokens).chunk(BLOCKS, dim=1)
-        return torch.stack([self.shift_head(shift), self.cholesky_head(cholesky)], dim=1)
+        return self._logits(tokens.unflatten(1, (self.config.blocks, steps)))
+
+    @torch.no_grad()
+    def advance(
+        self, codes: Tensor, onset: Tensor, cache: KeyValues, speaker: Tensor | None = None
+    ) -> Tensor:
+        """Predict the codes after the given steps, which follow those in the cache.
+
+        Equal to the last step of `forward` over all steps of the window, but only the new ones
+        are computed.
+
+        Args:
+            codes: (B, streams, n) int64; one step, or several into an empty cache.
+            onset: (B, n, 426) as in `forward`.
+            cache: what the window holds; it takes the new steps up.
+            speaker: as in `forward`.
+
+        Returns:
+            (B, streams, V) logits.
+
+        Raises:
+            ValueError: shapes that do not fit, or more steps than the block.
+        """
+        steps = codes.shape[-1]
+        if cache.steps and steps > 1:
+            raise ValueError("several steps at once fit into an empty cache alone")
+        tokens = self._embed(codes, onset, speaker, cache.steps)
+        mask = self._mask(steps, codes.device) if steps > 1 else None
+        for place, layer in enumerate(self.layers):
+            tokens = layer(tokens, mask, cache, place)
+        cache.steps += steps
+        last = tokens.unflatten(1, (self.config.blocks, steps))[:, :, -1:]
+        return self._logits(last)[:, :, 0]
+
+    def _embed(self, codes: Tensor, onset: Tensor, speaker: Tensor | None, first: int) -> Tensor:
+        """Tokens (B, blocks * n, D) of steps [first, first + n) of a window, block by block."""
+        config = self.config
+        batch, streams, steps = codes.shape
+        if streams != config.streams or not 1 <= steps <= config.block - first:
+            raise ValueError(
+                f"codes are (B, {config.streams}, S) with S up to {config.block}, "
+                f"not {tuple(codes.shape)} after {first}"
+            )
+        if onset.shape != (batch, steps, config.onset):
+            raise ValueError(f"onset of {tuple(codes.shape)} codes is {tuple(onset.shape)}")
+        sound = self.sound(onset)
+        if self.speaker is not None:
+            anyone = torch.full((batch,), self.speaker.num_embeddings - 1, device=codes.device)
+            sound = sound + self.speaker(anyone if speaker is None else speaker)[:, None]
+        blocks = [sound, self.shift(codes[:, 0])]
+        if streams > 1:
+            blocks.append(self.cholesky(codes[:, 1]))
+        places = self.positions.unflatten(1, (config.blocks, config.block))
+        tokens = torch.stack(blocks, dim=1) + places[:, :, first : first + steps]
+        return tokens.flatten(1, 2)
+
+    def _mask(self, steps: int, device: torch.device) -> Tensor:
+        """(blocks * S, blocks * S) bool: the causal mask of one block, tiled."""
+        causal = torch.ones(steps, steps, dtype=torch.bool, device=device).tril()
+        return causal.repeat(self.config.blocks, self.config.blocks)
+
+    def _logits(self, tokens: Tensor) -> Tensor:
+        """(B, streams, S, V) of tokens (B, blocks, S, D)."""
+        tokens = self.norm(tokens)
+        logits = [self.shift_head(tokens[:, 1])]
+        if self.config.streams > 1:
+            logits.append(self.cholesky_head(tokens[:, 2]))
+        return torch.stack(logits, dim=1)
 
     @staticmethod
     def loss(logits: Tensor, targets: Tensor) -> Tensor:
-        """Cross-entropy of both streams, added: logits (B, 2, S, V), targets (B, 2, S)."""
-        shift, cholesky = (
+        """Cross-entropy of all streams, added: logits (B, streams, S, V), codes (B, streams, S)."""
+        losses = [
             functional.cross_entropy(
                 logits[:, stream].flatten(0, 1).float(), targets[:, stream].flatten()
             )
-            for stream in range(2)
-        )
-        return shift + cholesky
-
-    @torch.no_grad()
-    def generate(
-        self,
-        start: Tensor,
-        onset: Tensor,
-        sampling: Sampling,
-        generator: torch.Generator,
-        voiced: Tensor | None = None,
-    ) -> Tensor:
-        """Continue a sequence of codes over all the sound, with a sliding window.
-
-        The last `block` codes are seen, and their positions restart at zero, as in training; the
-        cost is linear in the length.
-
-        Args:
-            start: (2, P) int64, the first P >= 1 code pairs.
-            onset: (S, 426) standardised onset features of all steps.
-            sampling: how to choose a code.
-            generator: source of randomness, on the CPU.
-            voiced: (S,) bool, steps with sound, where the repeat guard may act; None: all.
-
-        Returns:
-            (2, S) int64 codes on the CPU; the first are `start`.
-        """
-        steps, block = len(onset), self.config.block
-        codes = start.cpu()[:, :steps]
-        device = self.positions.device
-        onset = onset.to(device)
-        for step in range(codes.shape[1], steps):
-            first = max(0, step - block)
-            seen = codes[None, :, first:step].to(device)
-            logits = self(seen, onset[None, first + 1 : step + 1])[0, :, -1]  # (2, V)
-            guard = voiced is None or bool(voiced[step])
-            pair = draw(logits.float().cpu(), codes, sampling, generator, guard)
-            codes = torch.cat([codes, pair[:, None]], dim=1)
-        return codes
+            for stream in range(targets.shape[1])
+        ]
+        return torch.stack(losses).sum()
 
 
 def _initialise(module: nn.Module) -> None:

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 import yaml
 
+from angie.continuation import Window
 from angie.generator import GenerationConfig
 from angie.gpt import GPTConfig
 from angie.refiner import RefinerConfig
@@ -68,7 +69,9 @@ def _lite() -> Preset:
         gpt=GPTConfig(width=128, heads=4, layers=4),
         refiner=RefinerConfig(sound=96, motion=64, hidden=64),
         generation=GenerationConfig(
-            bounding="auto", sampling=Sampling(method="topk", repeat_guard=True)
+            bounding="auto",
+            window=Window("hop"),
+            sampling=Sampling(method="topk", repeat_guard=True),
         ),
         train_renderer=RendererTraining(
             batch=8,
@@ -105,7 +108,9 @@ def _tiny() -> Preset:
         gpt=GPTConfig(width=64, heads=4, layers=2),
         refiner=RefinerConfig(regions=10, sound=32, motion=32, hidden=32, layers=1),
         generation=GenerationConfig(
-            bounding="auto", sampling=Sampling(method="topk", repeat_guard=True)
+            bounding="auto",
+            window=Window("hop"),
+            sampling=Sampling(method="topk", repeat_guard=True),
         ),
         train_renderer=RendererTraining(
             steps=300,

@@ -1,7 +1,10 @@
+import dataclasses
+
 import pytest
 import torch
 
-from angie.gpt import CoSpeechGPT, GPTConfig
+from angie.continuation import Window, continue_codes
+from angie.gpt import CoSpeechGPT, GPTConfig, KeyValues
 from angie.sampling import Sampling, draw, stuck
 
 TINY = GPTConfig(codes=16, onset=10, width=24, heads=3, layers=3, block=5, dropout=0.1)
@@ -64,7 +67,7 @@ def test_more_steps_than_the_block_are_refused(gpt):
 
 def test_the_sliding_window_equals_the_full_forward_inside_the_block(gpt):
     start, onset = torch.tensor([[3], [7]]), torch.randn(6, 10)
-    generated = gpt.generate(start, onset, GREEDY, torch.Generator())
+    generated = continue_codes(gpt, start, onset, GREEDY, torch.Generator())
     assert generated.shape == (2, 6) and torch.equal(generated[:, :1], start)
     logits = gpt(generated[None, :, :-1], onset[None, 1:])[0]
     assert torch.equal(logits.argmax(-1), generated[:, 1:])
@@ -72,24 +75,121 @@ def test_the_sliding_window_equals_the_full_forward_inside_the_block(gpt):
 
 def test_beyond_the_block_the_last_codes_and_their_sound_are_seen(gpt):
     onset = torch.randn(20, 10)
-    generated = gpt.generate(torch.tensor([[3], [7]]), onset, GREEDY, torch.Generator())
+    generated = continue_codes(gpt, torch.tensor([[3], [7]]), onset, GREEDY, torch.Generator())
     for step in range(6, 20):
         seen, sound = generated[None, :, step - 5 : step], onset[None, step - 4 : step + 1]
         assert torch.equal(gpt(seen, sound)[0, :, -1].argmax(-1), generated[:, step])
 
 
+def test_step_by_step_with_the_cache_equals_the_whole_window(gpt, codes, onset):
+    whole = gpt(codes, onset)
+    cache = KeyValues(gpt.config, 2, torch.device("cpu"))
+    for step in range(5):
+        now = slice(step, step + 1)
+        assert not cache.full
+        logits = gpt.advance(codes[..., now], onset[:, now], cache)
+        assert torch.allclose(logits, whole[:, :, step], atol=1e-5)
+    assert cache.full
+    with pytest.raises(ValueError, match="up to 5"):
+        gpt.advance(codes[..., :1], onset[:, :1], cache)
+
+
+def test_a_window_that_begins_with_several_steps_goes_on_one_by_one(gpt, codes, onset):
+    whole = gpt(codes, onset)
+    cache = KeyValues(gpt.config, 2, torch.device("cpu"))
+    logits = gpt.advance(codes[..., :3], onset[:, :3], cache)
+    assert torch.allclose(logits, whole[:, :, 2], atol=1e-5)
+    for step in (3, 4):
+        now = slice(step, step + 1)
+        logits = gpt.advance(codes[..., now], onset[:, now], cache)
+        assert torch.allclose(logits, whole[:, :, step], atol=1e-5)
+    with pytest.raises(ValueError, match="empty cache"):
+        gpt.advance(codes[..., :2], onset[:, :2], cache)
+
+
+def test_hopping_begins_new_windows_with_the_last_codes(gpt):
+    onset, start = torch.randn(20, 10), torch.tensor([[3], [7]])
+    hop = Window("hop", context=2)
+    made = continue_codes(gpt, start, onset, GREEDY, torch.Generator(), window=hop)
+    first = 0
+    for step in range(1, 20):
+        if step - first > 5:
+            first = step - 2
+        seen, sound = made[None, :, first:step], onset[None, first + 1 : step + 1]
+        assert torch.equal(gpt(seen, sound)[0, :, -1].argmax(-1), made[:, step])
+    slid = continue_codes(gpt, start, onset, GREEDY, torch.Generator())
+    assert torch.equal(slid[:, :6], made[:, :6])  # the first window is the same
+
+
+def test_hopping_computes_most_steps_alone(gpt, monkeypatch):
+    computed = []
+    embed = CoSpeechGPT._embed
+
+    def counted(self, codes, *rest):
+        computed.append(codes.shape[-1])
+        return embed(self, codes, *rest)
+
+    monkeypatch.setattr(CoSpeechGPT, "_embed", counted)
+    for window, expected in [("hop", [1] * 5 + [3, 1, 1] * 5), ("slide", [1] * 5 + [5] * 15)]:
+        computed.clear()
+        start, onset = torch.tensor([[3], [7]]), torch.randn(21, 10)
+        window = Window(window, context=3)
+        continue_codes(gpt, start, onset, GREEDY, torch.Generator(), window=window)
+        assert computed == expected
+
+
+def test_bad_windows_are_refused():
+    with pytest.raises(ValueError, match="slide, hop"):
+        Window("jump")
+    with pytest.raises(ValueError, match="at least one"):
+        Window("hop", context=0)
+
+
+def test_one_stream_alone():
+    gpt = CoSpeechGPT(dataclasses.replace(TINY, streams=1)).eval()
+    codes, onset = torch.randint(16, (2, 1, 5)), torch.randn(2, 5, 10)
+    logits = gpt(codes, onset)
+    assert logits.shape == (2, 1, 5, 16) and gpt.positions.shape == (1, 10, 24)
+    assert CoSpeechGPT.loss(logits, codes).item() == pytest.approx(
+        torch.nn.functional.cross_entropy(logits.flatten(0, 2), codes.flatten()).item(), abs=1e-5
+    )
+    start = torch.tensor([[3]])
+    made = continue_codes(gpt, start, torch.randn(9, 10), GREEDY, torch.Generator())
+    assert made.shape == (1, 9)
+    assert not [name for name, _ in gpt.named_parameters() if "cholesky" in name]
+
+
+def test_a_joint_model_hears_who_speaks(codes, onset):
+    torch.manual_seed(0)
+    gpt = CoSpeechGPT(dataclasses.replace(TINY, joint=True), speakers=2).eval()
+    torch.nn.init.normal_(gpt.speaker.weight)
+    first, second, anyone = (gpt(codes, onset, torch.tensor([who, who])) for who in (0, 1, 2))
+    assert not torch.allclose(first, second, atol=1e-4)
+    assert not torch.allclose(first, anyone, atol=1e-4)
+    assert torch.equal(gpt(codes, onset), anyone)
+    onset, drawn = torch.randn(20, 10), []
+    for who in (0, 1, None):
+        start, generator = torch.tensor([[3], [7]]), torch.Generator().manual_seed(0)
+        drawn.append(continue_codes(gpt, start, onset, Sampling(), generator, speaker=who))
+    assert not torch.equal(drawn[0], drawn[1]) and not torch.equal(drawn[0], drawn[2])
+
+
 def test_a_longer_start_is_continued(gpt):
     onset = torch.randn(9, 10)
-    whole = gpt.generate(torch.tensor([[3], [7]]), onset, GREEDY, torch.Generator())
-    again = gpt.generate(whole[:, :4], onset, GREEDY, torch.Generator())
+    whole = continue_codes(gpt, torch.tensor([[3], [7]]), onset, GREEDY, torch.Generator())
+    again = continue_codes(gpt, whole[:, :4], onset, GREEDY, torch.Generator())
     assert torch.equal(whole, again)
-    assert torch.equal(gpt.generate(whole, onset[:4], GREEDY, torch.Generator()), whole[:, :4])
+    assert torch.equal(
+        continue_codes(gpt, whole, onset[:4], GREEDY, torch.Generator()), whole[:, :4]
+    )
 
 
 def test_the_same_seed_draws_the_same_codes_and_another_other_ones(gpt):
     def drawn(seed):
         generator = torch.Generator().manual_seed(seed)
-        return gpt.generate(torch.tensor([[3], [7]]), torch.ones(30, 10), Sampling(), generator)
+        return continue_codes(
+            gpt, torch.tensor([[3], [7]]), torch.ones(30, 10), Sampling(), generator
+        )
 
     assert torch.equal(drawn(1), drawn(1))
     assert not torch.equal(drawn(1), drawn(2))

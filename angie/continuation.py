@@ -1,0 +1,87 @@
+"""A sequence of codes continued over any length of sound, one step at a time."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from angie.gpt import CoSpeechGPT, KeyValues
+from angie.sampling import Sampling, draw
+
+WINDOWS = ("slide", "hop")
+
+
+@dataclass(frozen=True)
+class Window:
+    """What the GPT sees of a sequence that is longer than its block.
+
+    Attributes:
+        move: "slide" sees the last `block` codes at every step, as Bailando does. Positions
+            restart at zero, so every step of a full window is computed whole. "hop" begins a new
+            window with the last `context` codes when one is full and reuses all that it computed
+            until that one is full: it sees `context` to `block` codes.
+        context: codes that a new window begins with under "hop".
+    """
+
+    move: str = "slide"
+    context: int = 6
+
+    def __post_init__(self) -> None:
+        if self.move not in WINDOWS:
+            raise ValueError(f"window is one of {', '.join(WINDOWS)}, not {self.move!r}")
+        if self.context < 1:
+            raise ValueError("a window begins with at least one code")
+
+    def kept(self, block: int) -> int:
+        """Codes that stay when a window of `block` steps is full."""
+        return block if self.move == "slide" else min(self.context, block)
+
+
+@torch.no_grad()
+def continue_codes(
+    gpt: CoSpeechGPT,
+    start: Tensor,
+    onset: Tensor,
+    sampling: Sampling,
+    generator: torch.Generator,
+    *,
+    voiced: Tensor | None = None,
+    window: Window | None = None,
+    speaker: int | None = None,
+) -> Tensor:
+    """Continue a sequence of codes over all the sound.
+
+    Inside a window one step is computed at a time, with the keys and values of the steps before
+    it kept. Time is linear in the length, memory beside the codes constant.
+
+    Args:
+        gpt: in evaluation mode.
+        start: (streams, P) int64, the first P >= 1 codes.
+        onset: (S, 426) standardised onset features of all steps.
+        sampling: how to choose a code.
+        generator: source of randomness, on the CPU.
+        voiced: (S,) bool, steps with sound, where the repeat guard may act; None: all.
+        window: what is seen of a long sequence; None slides.
+        speaker: place in the training set's speakers, for joint models; None is anyone.
+
+    Returns:
+        (streams, S) int64 codes on the CPU; the first are `start`.
+    """
+    block, device = gpt.config.block, gpt.positions.device
+    kept = (window or Window()).kept(block)
+    begin, steps = start.shape[1], len(onset)
+    codes = torch.empty(len(start), max(begin, steps), dtype=torch.int64)
+    codes[:, :begin] = start
+    who = None if speaker is None else torch.tensor([speaker], device=device)
+    cache = KeyValues(gpt.config, 1, device)
+    first = max(0, begin - block)  # of the steps that are not in the cache
+    for step in range(begin, steps):
+        if cache.full:
+            cache.steps, first = 0, step - kept
+        seen = codes[None, :, first:step].to(device)
+        sound = onset[None, first + 1 : step + 1].to(device)
+        logits = gpt.advance(seen, sound, cache, who)[0].float().cpu()  # (streams, V)
+        guard = voiced is None or bool(voiced[step])
+        codes[:, step] = draw(logits, codes[:, :step], sampling, generator, guard)
+        first = step
+    return codes[:, :steps]
