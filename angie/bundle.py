@@ -29,6 +29,7 @@ from torch import Tensor, nn
 from angie import __version__
 from angie.generator import AngieGenerator
 from angie.gpt import CoSpeechGPT
+from angie.packing import pack
 from angie.presets import Preset, override
 from angie.refiner import Refiner
 from angie.statistics import MotionStatistics
@@ -235,9 +236,11 @@ class Bundle:
         return self._load("refiner", Refiner(self.preset.refiner))
 
     def generator(self) -> AngieGenerator:
-        """The gesture generator, all its parts in eval mode."""
+        """The gesture generator on the CPU, all its parts in eval mode."""
+        gpt = self.gpt()
+        pack(gpt)
         return AngieGenerator(
-            self.vq(), self.gpt(), self.refiner(), self.statistics(), self.preset.generation
+            self.vq(), gpt, self.refiner(), self.statistics(), self.preset.generation
         )
 
     def _load(self, part: str, model: Any) -> Any:

@@ -179,11 +179,8 @@ class AngieGenerator:
     def _decode(self, codes: Tensor) -> Tensor:
         """Normalised deltas (8S, 5K) of codes (2, S) on the CPU."""
         codes = codes.to(self.vq.mean.device)
-        if self.config.decode == "chunked":
-            delta = self.vq.decode_chunked(codes)
-        else:
-            delta = self.vq.decode(codes[None])[0]
-        return delta.float().cpu()
+        chunked = self.config.decode == "chunked"
+        return self.vq.decode_chunked(codes) if chunked else self.vq.decode_whole(codes)
 
     def _integrate(self, delta: Tensor, start: Tensor, speaker: str | None) -> Tensor:
         """Pattern motion (T, 5K) of normalised deltas."""
@@ -197,7 +194,7 @@ class AngieGenerator:
     def _residual(self, mfcc: Tensor, pattern: Tensor) -> Tensor:
         """Residual motion (T, 5K); it grows from zero over the first token."""
         scale = self.statistics.pose_scale
-        residual = self.refiner.refine(self.statistics.standard_mfcc(mfcc), pattern / scale)
+        residual = self.refiner.refine(mfcc, pattern / scale, self.statistics.standard_mfcc)
         place = torch.arange(len(residual), dtype=torch.float32)
         return residual * scale * (place / FRAMES_PER_TOKEN).clamp_max(1)[:, None]
 

@@ -98,11 +98,17 @@ class CausalAttention(nn.Module):
         self.dropout = nn.Dropout(dropout)
 
     def forward(
-        self, tokens: Tensor, mask: Tensor | None, cache: KeyValues | None = None, layer: int = 0
+        self,
+        tokens: Tensor,
+        mask: Tensor | None,
+        cache: KeyValues | None = None,
+        layer: int = 0,
+        wanted: Tensor | None = None,
     ) -> Tensor:
         """Tokens (B, n, D) and mask (n, n), true where attention is allowed, None everywhere.
 
-        With a cache the tokens also see all that it holds of this layer, and join it.
+        With a cache the tokens also see all that it holds of this layer, and join it. `wanted`
+        are the places (m,) of the tokens whose result (B, m, D) is needed; None is all.
         """
         query, key, value = (
             part.unflatten(-1, (self.heads, -1)).transpose(1, 2)  # (B, heads, n, D / heads)
@@ -110,6 +116,8 @@ class CausalAttention(nn.Module):
         )
         if cache is not None:
             key, value = cache.extend(layer, key, value)
+        if wanted is not None:
+            query, mask = query[:, :, wanted], None if mask is None else mask[wanted]
         mixed = functional.scaled_dot_product_attention(
             query, key, value, attn_mask=mask, dropout_p=self.rate if self.training else 0.0
         )
@@ -132,10 +140,16 @@ class Layer(nn.Module):
         )
 
     def forward(
-        self, tokens: Tensor, mask: Tensor | None, cache: KeyValues | None = None, layer: int = 0
+        self,
+        tokens: Tensor,
+        mask: Tensor | None,
+        cache: KeyValues | None = None,
+        layer: int = 0,
+        wanted: Tensor | None = None,
     ) -> Tensor:
-        """Tokens (B, n, D) to the same shape; see `CausalAttention`."""
-        tokens = tokens + self.attention(self.norm1(tokens), mask, cache, layer)
+        """Tokens (B, n, D) to the same shape, or to (B, m, D); see `CausalAttention`."""
+        mixed = self.attention(self.norm1(tokens), mask, cache, layer, wanted)
+        tokens = (tokens if wanted is None else tokens[:, wanted]) + mixed
         return tokens + self.mlp(self.norm2(tokens))
 
 
@@ -217,11 +231,13 @@ class CoSpeechGPT(nn.Module):
             raise ValueError("several steps at once fit into an empty cache alone")
         tokens = self._embed(codes, onset, speaker, cache.steps)
         mask = self._mask(steps, codes.device) if steps > 1 else None
+        # of the last layer nothing is needed but the last step
+        last = torch.arange(steps - 1, tokens.shape[1], steps, device=codes.device)
         for place, layer in enumerate(self.layers):
-            tokens = layer(tokens, mask, cache, place)
+            final = place + 1 == len(self.layers)
+            tokens = layer(tokens, mask, cache, place, last if final else None)
         cache.steps += steps
-        last = tokens.unflatten(1, (self.config.blocks, steps))[:, :, -1:]
-        return self._logits(last)[:, :, 0]
+        return self._logits(tokens[:, :, None])[:, :, 0]
 
     def _embed(self, codes: Tensor, onset: Tensor, speaker: Tensor | None, first: int) -> Tensor:
         """Tokens (B, blocks * n, D) of steps [first, first + n) of a window, block by block."""

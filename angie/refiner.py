@@ -4,6 +4,7 @@ ANGIE (NeurIPS 2022), section 3.4: bidirectional LSTMs see the absolute pattern 
 sound and predict residuals of shift and Cholesky factor, M = pattern + residual.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -103,14 +104,20 @@ class Refiner(nn.Module):
         return torch.cat([self.shift(mfcc, shift), self.cholesky(mfcc, cholesky)], dim=-1)
 
     @torch.no_grad()
-    def refine(self, mfcc: Tensor, pattern: Tensor) -> Tensor:
+    def refine(
+        self,
+        mfcc: Tensor,
+        pattern: Tensor,
+        standard: Callable[[Tensor], Tensor] = lambda mfcc: mfcc,
+    ) -> Tensor:
         """Residuals of a sequence of any length, in windows of 96 frames every 48.
 
         The LSTMs start anew in each window, as in training; residuals are cross-faded.
 
         Args:
-            mfcc: (T, 28, 12) standardised.
+            mfcc: (T, 28, 12).
             pattern: (T, 5K) in units of the pose scale.
+            standard: standardises MFCC windows (n, 96, 28, 12), a few at a time.
 
         Returns:
             (T, 5K) residuals in units of the pose scale, on the CPU.
@@ -122,6 +129,6 @@ class Refiner(nn.Module):
         def compute(starts: list[int]) -> Tensor:
             sound = torch.stack([mfcc[at : at + size] for at in starts])
             motion = torch.stack([pattern[at : at + size] for at in starts])
-            return self(sound.to(device), motion.to(device))
+            return self(standard(sound.to(device)), motion.to(device))
 
         return cross_fade(frames, WINDOW, HOP, compute)

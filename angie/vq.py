@@ -16,6 +16,12 @@ from angie.windows import WINDOW_TOKENS
 from data_prep.rates import FRAMES_PER_TOKEN
 
 DILATIONS = (1, 3, 9)
+BLOCK = 128
+"""Codes of a long sequence that are decoded at once."""
+
+HALO = 27
+"""Codes on either side that a decoded frame may depend on."""
+
 HALVINGS = FRAMES_PER_TOKEN.bit_length() - 1
 """Strided convolutions that make one token of 8 frames."""
 
@@ -173,6 +179,20 @@ class VQMotionExtractor(nn.Module):
         """Normalised deltas (B, 8S, 5K) of codes (B, 2, S)."""
         shift, cholesky = codes.unbind(1)
         return torch.cat([self.shift.decode(shift), self.cholesky.decode(cholesky)], dim=-1)
+
+    def decode_whole(self, codes: Tensor) -> Tensor:
+        """Deltas (8S, 5K) on the CPU of one sequence of codes (2, S), as if decoded in one pass.
+
+        A frame depends on fewer than 27 codes on either side, so blocks of 128 with those around
+        them give the same, and memory beside the result does not grow with S.
+        """
+        parts = []
+        for first in range(0, codes.shape[-1], BLOCK):
+            before = min(first, HALO)
+            block = codes[None, :, first - before : first + BLOCK + HALO]
+            deltas = self.decode(block)[0, before * FRAMES_PER_TOKEN :]
+            parts.append(deltas[: BLOCK * FRAMES_PER_TOKEN].float().cpu())
+        return torch.cat(parts)
 
     def decode_chunked(
         self, codes: Tensor, window: int = WINDOW_TOKENS, hop: int = WINDOW_TOKENS // 2

@@ -13,6 +13,9 @@ WINDOW = SAMPLE_RATE * 25 // 1000
 HOP = SAMPLE_RATE // 100
 """Samples from one window to the next (10 ms)."""
 
+_BLOCK = 1024
+"""Windows computed at once, so that memory beside the result does not grow with the sound."""
+
 _FFT = 512
 _FILTERS = 26
 _COEFFICIENTS = 13
@@ -49,10 +52,22 @@ def cepstra(samples: np.ndarray, count: int) -> np.ndarray:
     Returns:
         cepstra `(count, 13)` float64; row i is of samples `[HOP i, HOP i + WINDOW)`.
     """
-    samples = np.asarray(samples, np.float64)
-    shaped = np.append(samples[:1], samples[1:] - _PRE_EMPHASIS * samples[:-1])
-    needed = (count - 1) * HOP + WINDOW
-    shaped = np.pad(shaped[:needed], (0, max(0, needed - len(shaped))))
+    samples = np.asarray(samples)
+    blocks = [
+        _cepstra(samples, first, min(_BLOCK, count - first)) for first in range(0, count, _BLOCK)
+    ]
+    return np.concatenate(blocks) if blocks else np.zeros((0, _COEFFICIENTS))
+
+
+def _cepstra(samples: np.ndarray, first: int, count: int) -> np.ndarray:
+    """Cepstra of windows [first, first + count)."""
+    begin, needed = first * HOP, (count - 1) * HOP + WINDOW
+    heard = samples[begin : begin + needed].astype(np.float64)
+    before = samples[max(begin - 1, 0) : max(begin - 1, 0) + len(heard)].astype(np.float64)
+    if not begin and len(heard):
+        before = np.append(0.0, before[:-1])  # the first sample has none before it
+    shaped = heard - _PRE_EMPHASIS * before[: len(heard)]
+    shaped = np.pad(shaped, (0, needed - len(shaped)))
     windows = np.lib.stride_tricks.sliding_window_view(shaped, WINDOW)[::HOP]
     power = np.abs(np.fft.rfft(windows, _FFT)) ** 2 / _FFT  # (count, 257)
     energy = np.maximum(power.sum(axis=1), _FLOOR)

@@ -1,6 +1,7 @@
 """Short-time spectra, mel bands and decibels, by librosa's conventions."""
 
 import functools
+from collections.abc import Iterable
 
 import numpy as np
 from scipy import fft
@@ -15,7 +16,10 @@ HOP = 512
 BANDS = 128
 """Mel bands from 0 Hz to the Nyquist frequency."""
 
-_BLOCK = 4096
+_BLOCK = 512
+"""Windows computed at once, so that memory beside the result does not grow with the sound."""
+
+_MEDIAN = 31
 _AMIN = 1e-10
 _RANGE_DB = 80.0
 
@@ -53,19 +57,22 @@ def _windows(samples: np.ndarray) -> np.ndarray:
     return np.lib.stride_tricks.sliding_window_view(padded, FFT)[::HOP]
 
 
-def stft(samples: np.ndarray) -> np.ndarray:
-    """Spectra `(1 + N // HOP, FFT // 2 + 1)` complex64 of windows centred on multiples of HOP."""
-    return fft.rfft(_windows(samples) * hann(FFT), axis=1)
+def overlap_add(parts: Iterable[np.ndarray], count: int, length: int) -> np.ndarray:
+    """Samples `(length,)` float32 whose spectra come nearest to the given ones.
 
-
-def istft(spectra: np.ndarray, length: int) -> np.ndarray:
-    """Samples `(length,)` float32 whose spectra come nearest to the given ones."""
-    parts = fft.irfft(spectra, FFT, axis=1) * hann(FFT)
-    total = np.zeros(FFT + HOP * (len(parts) - 1), np.float32)
+    Args:
+        parts: spectra `(n, FFT // 2 + 1)` of consecutive windows centred on multiples of HOP.
+        count: windows in all parts together.
+        length: samples wanted.
+    """
+    total = np.zeros(FFT + HOP * (count - 1), np.float32)
     weight = np.zeros_like(total)
-    for i, part in enumerate(parts):
-        total[i * HOP : i * HOP + FFT] += part
-        weight[i * HOP : i * HOP + FFT] += hann(FFT) ** 2
+    first = 0
+    for spectra in parts:
+        for pulse in fft.irfft(spectra, FFT, axis=1) * hann(FFT):
+            total[first : first + FFT] += pulse
+            weight[first : first + FFT] += hann(FFT) ** 2
+            first += HOP
     covered = weight > np.finfo(np.float32).tiny
     total[covered] /= weight[covered]
     samples = total[FFT // 2 : FFT // 2 + length]
@@ -94,11 +101,20 @@ def percussive(samples: np.ndarray) -> np.ndarray:
     Medians over 31 windows keep what lasts, medians over 31 bins what is sudden; a soft mask
     of their squares divides each spectrum between the two.
     """
-    spectra = stft(samples)
+    windows = _windows(samples)
+    parts = (_percussive(windows, first) for first in range(0, len(windows), _BLOCK))
+    return overlap_add(parts, len(windows), len(samples))
+
+
+def _percussive(windows: np.ndarray, first: int) -> np.ndarray:
+    """Percussive spectra of a block of windows, seen with those that the medians reach."""
+    begin = max(0, first - _MEDIAN // 2)
+    seen = windows[begin : first + _BLOCK + _MEDIAN // 2]
+    spectra = fft.rfft(seen * hann(FFT), axis=1)
     magnitude = np.abs(spectra)
-    lasting = median_filter(magnitude, size=(31, 1), mode="reflect").astype(np.float64)
-    sudden = median_filter(magnitude, size=(1, 31), mode="reflect").astype(np.float64)
+    lasting = median_filter(magnitude, size=(_MEDIAN, 1), mode="reflect").astype(np.float64)
+    sudden = median_filter(magnitude, size=(1, _MEDIAN), mode="reflect").astype(np.float64)
     whole = lasting**2 + sudden**2
     silent = np.maximum(lasting, sudden) < np.finfo(np.float32).tiny
     share = np.where(silent, 0.5, sudden**2 / np.where(silent, 1.0, whole))
-    return istft(spectra * share.astype(np.float32), len(samples))
+    return (spectra * share.astype(np.float32))[first - begin :][:_BLOCK]

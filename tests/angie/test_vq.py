@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from angie.vq import VQConfig, VQMotionExtractor
+from angie.vq import HALO, VQConfig, VQMotionExtractor
 
 TINY = VQConfig(regions=4, width=16, codes=32, code_width=8)
 
@@ -46,6 +46,26 @@ def test_decoding_in_windows_of_the_training_length(vq):
     assert torch.allclose(vq.decode_chunked(codes), vq.decode(codes[None])[0], atol=1e-5)
     assert vq.decode_chunked(torch.randint(32, (2, 31))).shape == (248, 20)
     assert vq.decode_chunked(torch.randint(32, (2, 3))).shape == (24, 20)
+
+
+def test_a_long_sequence_is_decoded_in_blocks_as_in_one_pass(vq, monkeypatch):
+    codes = torch.randint(32, (2, 150))
+    whole = vq.decode(codes[None])[0]
+    for block in (1, 40, 128, 200):
+        monkeypatch.setattr("angie.vq.BLOCK", block)
+        assert torch.allclose(vq.decode_whole(codes), whole, atol=1e-5)
+    assert vq.decode_whole(codes[:, :3]).shape == (24, 20)
+
+
+def test_a_decoded_frame_depends_on_fewer_codes_than_the_halo():
+    decoder = VQMotionExtractor(TINY).shift.decoder
+    for parameter in decoder.parameters():
+        torch.nn.init.constant_(parameter, 0.02)  # nothing cancels, every path is open
+    latent = torch.rand(1, 101, TINY.code_width, requires_grad=True)
+    for frame in (400, 403, 407):  # of code 50
+        (gradient,) = torch.autograd.grad(decoder(latent)[0, frame].sum(), latent)
+        seen = gradient[0].abs().sum(-1).nonzero()
+        assert 50 - HALO < seen.min() and seen.max() < 50 + HALO
 
 
 def test_start_codes_are_those_of_no_motion(vq):

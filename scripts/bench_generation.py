@@ -1,0 +1,151 @@
+"""What the motion side costs: codes a second with and without the cache, each step's share.
+
+    python scripts/bench_generation.py [SECONDS ...]
+
+Weights are random, which changes no time. The uncached baseline computes the whole window for
+every code. Shares are of the length of the sound; features, codes, decoding and refinement
+together are all that `angie animate` does before it renders. For each length of sound the growth
+of the resident memory above the loaded models is told.
+"""
+
+import dataclasses
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from angie.bundle import Bundle
+from angie.continuation import Window, continue_codes
+from angie.demo import BUNDLE
+from angie.generator import AngieGenerator
+from angie.gpt import CoSpeechGPT
+from angie.motion import Motion
+from angie.packing import pack
+from angie.presets import preset
+from angie.refiner import Refiner
+from angie.sampling import Sampling, draw
+from angie.vq import VQMotionExtractor
+from data_prep.features import SpeechFeatures, speech_features
+from data_prep.rates import FPS, SAMPLE_RATE, tokens_covering
+
+CODES = 60
+"""Codes made for each rate."""
+
+
+def seconds(work: Callable[[], Any]) -> float:
+    """Time of one call."""
+    begin = time.perf_counter()
+    work()
+    return time.perf_counter() - begin
+
+
+def grown(work: Callable[[], Any]) -> tuple[float, float]:
+    """Time of one call, and by how many MB the resident memory grew while it ran."""
+    done, sizes = threading.Event(), [resident()]
+
+    def watch() -> None:
+        while not done.wait(0.005):
+            sizes.append(resident())
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    taken = seconds(work)
+    done.set()
+    watcher.join()
+    return taken, max(sizes) - sizes[0]
+
+
+def resident() -> float:
+    """Resident memory in MB (Linux)."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
+
+
+@torch.no_grad()
+def uncached(gpt: CoSpeechGPT, onset: torch.Tensor, sampling: Sampling) -> torch.Tensor:
+    """The plain sliding window: every code from a whole forward pass."""
+    codes, generator = torch.tensor([[3], [7]]), torch.Generator().manual_seed(0)
+    for step in range(1, len(onset)):
+        first = max(0, step - gpt.config.block)
+        logits = gpt(codes[None, :, first:], onset[None, first + 1 : step + 1])[0, :, -1]
+        pair = draw(logits, codes, sampling, generator, False)
+        codes = torch.cat([codes, pair[:, None]], dim=1)
+    return codes
+
+
+def generator_of(name: str) -> AngieGenerator:
+    """A generator of a preset's sizes with random weights."""
+    sizes, statistics = preset(name), Bundle.open(BUNDLE).statistics()
+    torch.manual_seed(0)
+    vq, refiner = VQMotionExtractor(sizes.vq), Refiner(sizes.refiner)
+    gpt = CoSpeechGPT(sizes.gpt)
+    return AngieGenerator(vq, gpt, refiner, statistics, sizes.generation)
+
+
+def rates(generator: AngieGenerator) -> None:
+    """Print codes a second, uncached and with either window."""
+    gpt, sampling = generator.gpt, generator.config.sampling
+    onset, start = torch.randn(CODES + 1, gpt.config.onset), torch.tensor([[3], [7]])
+    uncached(gpt, onset[:4], sampling)
+    base = CODES / seconds(lambda: uncached(gpt, onset, sampling))
+    print(f"  uncached, nn.Linear    {base:7.1f} codes/s")
+    pack(gpt)
+    for name, window in (("slide", Window("slide")), ("hop", Window("hop"))):
+
+        def make(window: Window = window, length: int = CODES + 1) -> None:
+            source = torch.Generator().manual_seed(0)
+            continue_codes(gpt, start, onset[:length], sampling, source, window=window)
+
+        make(length=4)
+        rate = CODES / seconds(make)
+        print(f"  cached, {name:<5} window   {rate:7.1f} codes/s  {rate / base:5.2f} times")
+
+
+def shares(generator: AngieGenerator, length: int, window: str) -> None:
+    """Print the parts of the motion side as shares of the sound's length."""
+    moving = dataclasses.replace(generator.config, window=Window(window))
+    generator = dataclasses.replace(generator, config=moving)
+    place = np.arange(length * SAMPLE_RATE, dtype=np.float32)
+    noise = np.random.default_rng(0).standard_normal(len(place), np.float32)
+    samples = 0.1 * noise * (np.sin(place / 4000) > 0)
+    made: list[SpeechFeatures] = []
+    heard, room = grown(lambda: made.append(speech_features(samples)))
+    onset = torch.from_numpy(made[0].onset[: tokens_covering(length * FPS)])
+    codes = torch.randint(generator.vq.config.codes, (2, len(onset)))
+    pose = Motion.from_vector(generator.statistics.rest[:1])
+    pattern = generator._integrate(generator._decode(codes)[: length * FPS], pose.vector()[0], None)
+    mfcc = torch.from_numpy(made[0].mfcc)
+    parts = {
+        "features": heard,
+        "codes": seconds(lambda: generator._codes(onset, 0, None)),
+        "decoding": seconds(lambda: generator._decode(codes)),
+        "refinement": seconds(lambda: generator._residual(mfcc, pattern)),
+    }
+    _, more = grown(lambda: generator.generate(made[0], pose, length * FPS))
+    text = ", ".join(f"{name} {100 * part / length:.2f} %" for name, part in parts.items())
+    total = 100 * sum(parts.values()) / length
+    print(
+        f"  {length:>4} s, {window:<5}  {total:5.2f} % ({text}); memory +{max(room, more):.0f} MB"
+    )
+
+
+def main() -> None:
+    """Print both tables for lite and paper."""
+    lengths = [int(text) for text in sys.argv[1:]] or [60, 600]
+    print(f"{torch.get_num_threads()} threads, torch {torch.__version__}")
+    for name in ("lite", "paper"):
+        print(name)
+        generator = generator_of(name)
+        rates(generator)
+        for length in lengths:
+            for window in ("hop", "slide"):
+                if name == "lite" or length <= 60:
+                    shares(generator, length, window)
+
+
+if __name__ == "__main__":
+    main()
