@@ -3,6 +3,7 @@
 from typing import Any
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 
@@ -47,6 +48,19 @@ def _eigen_root(covariance: Tensor) -> Tensor:
     )
 
 
+def _lapack_root(covariance: Tensor) -> Tensor:
+    """The eigen root with the signs that LAPACK's SVD gives, derived from its steps.
+
+    A Householder reflection takes the first column to `(-|.|, 0)`, so that det U = -1; the
+    rotation that follows leaves the joint sign given here. It is LAPACK's on all covariances
+    but exactly diagonal ones, whose signs carry nothing.
+    """
+    a, b, d = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
+    upright = (a * (d - a) > 2 * b**2) & (b >= 0)  # the second singular value leads
+    sign = torch.where(upright, 1.0, -1.0)
+    return _eigen_root(covariance) * torch.stack([sign, -sign], dim=-1)[..., None, :]
+
+
 def _symmetric_root(covariance: Tensor) -> Tensor:
     a, b, d = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
     root = torch.sqrt(torch.clamp(a * d - b * b, min=1e-20))
@@ -81,6 +95,27 @@ def renderable(covariance: Tensor) -> Tensor:
     return middle + stretch[..., None, None] * traceless
 
 
+def renderable_affine(affine: Tensor) -> Tensor:
+    """Clamp the semi-axes of affines (..., 2, 2) as `renderable` clamps those of `A A^T`.
+
+    Of `A = U s V^T` U and V stay; affines within the bounds are unchanged.
+    """
+    covariance = affine @ affine.mT
+    clamped = renderable(covariance)
+    unit = F.normalize(affine_from_covariance(covariance), dim=-2)  # columns: the axes
+    axes = unit * (unit.mT @ clamped @ unit).diagonal(dim1=-2, dim2=-1).sqrt()[..., None, :]
+    first = (unit[..., :, :1].mT @ affine)[..., 0, :]  # along the first row of V^T
+    length = torch.linalg.vector_norm(first, dim=-1, keepdim=True)
+    across = torch.tensor([1.0, 0.0], device=affine.device)
+    first = torch.where(length > 0, first / length, across)
+    a, b, c, d = affine.flatten(-2).unbind(-1)
+    side = torch.where(a * d < b * c, -1.0, 1.0)[..., None]
+    second = side * torch.stack([-first[..., 1], first[..., 0]], dim=-1)
+    scaled = axes @ torch.stack([first, second], dim=-2)
+    outside = (clamped - covariance).abs().amax((-2, -1), keepdim=True) > 1e-3 * MIN_AXIS**2
+    return torch.where(outside, scaled, affine)
+
+
 def cholesky(covariance: Tensor) -> Tensor:
     """Lower factor of positive definite (..., 2, 2) matrices, closed form, diagonal positive."""
     a, b, d = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
@@ -90,8 +125,16 @@ def cholesky(covariance: Tensor) -> Tensor:
     return torch.stack([l1, torch.zeros_like(l1), l2, l3], dim=-1).unflatten(-1, (2, 2))
 
 
-ROOTS = {"svd": _eigen_root, "sym": _symmetric_root, "chol": cholesky}
+ROOTS = {
+    "svd": _eigen_root,
+    "lapack": _lapack_root,
+    "sym": _symmetric_root,
+    "chol": cholesky,
+}
 """Ways to take the root of a covariance."""
+
+WITH_AXES = ("svd", "lapack")
+"""Those whose columns are the axes of the region, up to order and sign."""
 
 
 def affine_from_covariance(covariance: Tensor, mode: str = "svd") -> Tensor:
@@ -99,8 +142,9 @@ def affine_from_covariance(covariance: Tensor, mode: str = "svd") -> Tensor:
 
     Args:
         covariance: (..., 2, 2) symmetric positive definite, float32.
-        mode: "svd" `U sqrt(S)` with det U = 1 (MRAA), "sym" the symmetric root, "chol" the
-            Cholesky factor; the last two are continuous but do not follow rotations.
+        mode: "svd" `U sqrt(S)` with det U = 1 (MRAA), "lapack" the same with the signs that
+            the released weights were trained with (det U = -1), "sym" the symmetric root, "chol"
+            the Cholesky factor; the last two are continuous but do not follow rotations.
 
     Returns:
         (..., 2, 2) float32.
@@ -119,6 +163,34 @@ def relative_affine(source: Tensor, driving: Tensor, *, revert_axis_swap: bool) 
     """
     product = source @ inverse(driving)
     return fix_sign(product) if revert_axis_swap else product
+
+
+def track_axes(affine: Tensor, start: Tensor) -> Tensor:
+    """Follow the axes of regions over time, so that no frame jumps where C moves smoothly.
+
+    An eigen root leaves the sign of its columns and, where the axes have been equally long,
+    their order open: `A`, `-A`, `[a2, -a1]` and `[-a2, a1]` have the same `A A^T`. Each frame
+    takes the one closest to the frame before (in the sum of squares), the first the one closest
+    to `start`. Such axes need no sign fix, which would undo turns by more than 90 degrees.
+
+    Where a region is round its axes mean nothing: a frame there may still jump by up to 45
+    degrees, and a region that goes once around the round shape comes back as `-A`.
+
+    Args:
+        affine: (T, ..., 2, 2) of T frames in order.
+        start: (..., 2, 2) of the frame before, or of the source.
+
+    Returns:
+        (T, ..., 2, 2), the same covariances.
+    """
+    before = torch.cat([start[None], affine[:-1]])
+    swapped = torch.stack([affine[..., 1], -affine[..., 0]], dim=-1)
+    # all four have one norm: the closest has the largest inner product, and a choice made for
+    # one frame turns those of all later ones, so that quarter turns add up
+    same, quarter = ((x * before).sum((-2, -1)) for x in (affine, swapped))
+    turns = torch.stack([same, quarter, -same, -quarter]).argmax(0).cumsum(0) % 4
+    turned = torch.where((turns % 2 == 1)[..., None, None], swapped, affine)
+    return torch.where((turns >= 2)[..., None, None], -turned, turned)
 
 
 def fix_sign(matrix: Tensor) -> Tensor:
