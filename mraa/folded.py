@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from mraa import warp_kernel
 from mraa.affine import inverse
 from mraa.blocks import Hourglass, ResBlock
-from mraa.convolution import Convolution
+from mraa.convolution import Convolution, same_convolution
 from mraa.flow import FlowPredictor, region_maps
 from mraa.folding import blocks, doubling, fold, norm_line, stacked
 from mraa.generator import DeepGenerator, ImageGenerator, LiteGenerator
@@ -62,7 +62,7 @@ class FoldedHourglass:
         for block in hourglass.encoder.down_blocks:
             kernel = fold(block.conv, block.norm)
             at = (count, channels, height, width)
-            self.downs.append(Convolution(kernel, at, dtype=dtype, padding=1))
+            self.downs.append(same_convolution(kernel, at, dtype=dtype))
             channels, height, width = len(kernel.bias), height // 2, width // 2
         for block in hourglass.decoder.up_blocks:
             self.ups.append(up_convolution(block, (count, height, width), dtype))
@@ -120,7 +120,7 @@ class FoldedFlow:
         features = predictor.hourglass.channels_out
         kernel = stacked(fold(predictor.mask), fold(predictor.occlusion))
         at = (count, features, height, width)
-        self.logits = Convolution(kernel, at, dtype=dtype, padding=3, relu=False)
+        self.logits = same_convolution(kernel, at, dtype=dtype, relu=False)
 
     def __call__(self, driving: Regions, background: Tensor) -> Field:
         """Flow and occlusion of regions (B, K) and background homographies (B, 3, 3)."""
@@ -184,23 +184,16 @@ class FoldedResidual:
     """A `ResBlock` or a `PostResBlock`."""
 
     def __init__(self, block: Any, shape: Shape, dtype: torch.dtype) -> None:
-        self.line: tuple[Tensor, Tensor] | None = None
-        if isinstance(block, ResBlock):
-            scale, shift = norm_line(block.norm1)
-            scale, shift = (v.detach().to(dtype)[:, None, None] for v in (scale, shift))
-            self.line = (scale, shift)
-            first, second = fold(block.conv1, block.norm2), fold(block.conv2)
-        else:
-            first, second = fold(block.conv1, block.norm1), fold(block.conv2, block.norm2)
-        self.first = Convolution(first, shape, dtype=dtype, padding=1)
-        self.second = Convolution(second, shape, dtype=dtype, padding=1, relu=False)
+        before = isinstance(block, ResBlock)  # the first norm has no convolution before it
+        line = norm_line(block.norm1) if before else None
+        first = fold(block.conv1, block.norm2 if before else block.norm1)
+        second = fold(block.conv2, None if before else block.norm2)
+        self.first = same_convolution(first, shape, dtype=dtype, line=line)
+        self.second = same_convolution(second, shape, dtype=dtype, relu=not before)
 
     def __call__(self, x: Tensor) -> Tensor:
         """(B, C, H, W) to the same shape."""
-        if self.line is None:
-            return self.second(self.first(x)).add_(x).relu_()
-        scale, shift = self.line
-        return self.second(self.first(torch.addcmul(shift, x, scale).relu_())).add_(x)
+        return self.second(self.first(x), x)
 
 
 class Bottleneck:
@@ -253,7 +246,7 @@ class FoldedLite:
         half, quarter = ((count, *f.shape[1:]) for f in features)
         self.bottleneck = Bottleneck(generator.bottleneck, quarter, dtype)
         self.up = up_convolution(generator.up, (count, *quarter[2:]), dtype)
-        self.final = Convolution(fold(generator.final), half, dtype=dtype, padding=1, relu=False)
+        self.final = same_convolution(fold(generator.final), half, dtype=dtype, relu=False)
         self.half, self.quarter = (Features(f, dtype) for f in features)
 
     def __call__(self, field: Field) -> Tensor:
@@ -276,13 +269,13 @@ class FoldedDeep:
         seen = (count, kernel.weight.shape[1], *quarter[2:])
         self.pose = Convolution(kernel, seen, dtype=dtype)
         seen = (count, len(kernel.bias), *eighth[2:])
-        self.pose_down = Convolution(fold(down.conv, down.norm), seen, dtype=dtype, padding=1)
+        self.pose_down = same_convolution(fold(down.conv, down.norm), seen, dtype=dtype)
         self.bottleneck = Bottleneck(generator.bottleneck, eighth, dtype)
         self.refine = Bottleneck(generator.refine, quarter, dtype)
         sizes = [(count, *eighth[2:]), (count, *quarter[2:])]
         ups = zip(generator.up_blocks, sizes, strict=True)
         self.ups = [up_convolution(up, at, dtype) for up, at in ups]
-        self.final = Convolution(fold(generator.final), half, dtype=dtype, padding=1, relu=False)
+        self.final = same_convolution(fold(generator.final), half, dtype=dtype, relu=False)
         self.half, self.quarter, self.eighth = (Features(f, dtype) for f in features)
 
     def __call__(self, field: Field) -> Tensor:

@@ -12,8 +12,9 @@ import math
 from typing import Any
 
 import numpy as np
+from llvmlite import ir
 from numba import njit, types
-from numba.extending import overload
+from numba.extending import intrinsic, overload
 
 NONE, SAME, PHASES = 0, 1, 2
 """How generated features lie: not there; pixel by pixel; four phases of doubled pixels.
@@ -25,21 +26,48 @@ PHASES are `(b, h + 1, w + 1, 4 C)`: pixel (2 y + i, 2 x + j) is phase 2 i + j o
 _compiled: Any = njit(nogil=True, cache=True, error_model="numpy")
 
 
+@intrinsic
+def _widened(typing: Any, bits: Any) -> Any:
+    """float32 of the bits of a bfloat16."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        word = ir.IntType(32)
+        shifted = builder.shl(builder.zext(arguments[0], word), ir.Constant(word, 16))
+        return builder.bitcast(shifted, ir.FloatType())
+
+    return types.float32(types.uint16), code
+
+
+@intrinsic
+def _rounded(typing: Any, value: Any) -> Any:
+    """Bits of the bfloat16 nearest to a float32, even on a tie."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        word = ir.IntType(32)
+        bits = builder.bitcast(arguments[0], word)
+        half = ir.Constant(word, 16)
+        odd = builder.and_(builder.lshr(bits, half), ir.Constant(word, 1))
+        bits = builder.add(builder.add(bits, odd), ir.Constant(word, 0x7FFF))
+        return builder.trunc(builder.lshr(bits, half), ir.IntType(16))
+
+    return types.uint16(types.float32), code
+
+
 def _load(value: Any) -> Any:
     raise NotImplementedError("exists compiled only")
 
 
-def _store(out: Any, place: Any, value: Any) -> Any:
+def _like(value: Any, array: Any) -> Any:
     raise NotImplementedError("exists compiled only")
 
 
 @overload(_load, inline="always")
 def _load_typed(value: Any) -> Any:
-    """float32 of a float32, or of the bits of a bfloat16."""
+    """float32 of an activation."""
     if value == types.uint16:
 
         def widened(value: Any) -> Any:
-            return np.uint32(np.uint32(value) << np.uint32(16)).view(np.float32)
+            return _widened(value)  # type: ignore[call-arg]
 
         return widened
 
@@ -49,20 +77,18 @@ def _load_typed(value: Any) -> Any:
     return plain
 
 
-@overload(_store, inline="always")
-def _store_typed(out: Any, place: Any, value: Any) -> Any:
-    """Write a float32, or the bits of the nearest bfloat16, even on a tie."""
-    if out.dtype == types.uint16:
+@overload(_like, inline="always")
+def _like_typed(value: Any, array: Any) -> Any:
+    """A float32 as an activation of the type of `array`."""
+    if array.dtype == types.uint16:
 
-        def rounded(out: Any, place: Any, value: Any) -> Any:
-            bits = np.float32(value).view(np.uint32)
-            odd = np.uint32(bits >> np.uint32(16)) & np.uint32(1)
-            out[place] = np.uint16(np.uint32(bits + np.uint32(0x7FFF) + odd) >> np.uint32(16))
+        def rounded(value: Any, array: Any) -> Any:
+            return _rounded(np.float32(value))  # type: ignore[call-arg]
 
         return rounded
 
-    def plain(out: Any, place: Any, value: Any) -> Any:
-        out[place] = value
+    def plain(value: Any, array: Any) -> Any:
+        return value
 
     return plain
 
@@ -121,26 +147,37 @@ def _between(i: int, size: int, small: int, corners: bool) -> tuple[int, int, fl
 def _flow_at(
     flow: np.ndarray,
     occlusion: np.ndarray,
+    n: int,
     rows: tuple[int, int, float],
     columns: tuple[int, int, float],
 ) -> tuple[float, float, float]:
-    """Flow (x, y) and occlusion between four pixels."""
+    """Flow (x, y) and occlusion of frame `n` between four pixels."""
     y0, y1, v = rows
     x0, x1, u = columns
     one = np.float32(1.0)
     a, b, c, d = (one - v) * (one - u), (one - v) * u, v * (one - u), v * u
-    x = a * flow[y0, x0, 0] + b * flow[y0, x1, 0] + c * flow[y1, x0, 0] + d * flow[y1, x1, 0]
-    y = a * flow[y0, x0, 1] + b * flow[y0, x1, 1] + c * flow[y1, x0, 1] + d * flow[y1, x1, 1]
-    o = a * occlusion[y0, x0] + b * occlusion[y0, x1]
-    return x, y, o + c * occlusion[y1, x0] + d * occlusion[y1, x1]
+    x = (
+        a * flow[n, y0, x0, 0]
+        + b * flow[n, y0, x1, 0]
+        + c * flow[n, y1, x0, 0]
+        + d * flow[n, y1, x1, 0]
+    )
+    y = (
+        a * flow[n, y0, x0, 1]
+        + b * flow[n, y0, x1, 1]
+        + c * flow[n, y1, x0, 1]
+        + d * flow[n, y1, x1, 1]
+    )
+    o = a * occlusion[n, y0, x0] + b * occlusion[n, y0, x1]
+    return x, y, o + c * occlusion[n, y1, x0] + d * occlusion[n, y1, x1]
 
 
 @_compiled
-def _far(matrix: np.ndarray, x: float, y: float) -> tuple[float, float]:
-    """A point (x, y) moved by a homography (3, 3)."""
-    depth = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2]
-    across = matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2]
-    down = matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2]
+def _far(matrix: np.ndarray, n: int, x: float, y: float) -> tuple[float, float]:
+    """A point (x, y) moved by homography `n` of (b, 3, 3)."""
+    depth = matrix[n, 2, 0] * x + matrix[n, 2, 1] * y + matrix[n, 2, 2]
+    across = matrix[n, 0, 0] * x + matrix[n, 0, 1] * y + matrix[n, 0, 2]
+    down = matrix[n, 1, 0] * x + matrix[n, 1, 1] * y + matrix[n, 1, 2]
     return across / depth, down / depth
 
 
@@ -197,22 +234,22 @@ def flow_input(
             y = np.float32(2 * j) / np.float32(height - 1) - np.float32(1.0)
             for i in range(width):
                 x = np.float32(2 * i) / np.float32(width - 1) - np.float32(1.0)
-                line = out[n, j, i]
                 for k in range(regions + 1):
                     if k == 0:
-                        across, down = _far(background[n], x, y)
-                        _store(line, 0, np.float32(0.0))
+                        across, down = _far(background, n, x, y)
+                        difference = np.float32(0.0)
                     else:
-                        m = maps[n, k - 1]
-                        across, down = m[0] * x + m[1] * y + m[2], m[3] * x + m[4] * y + m[5]
-                        _store(line, 4 * k, moving[j, k - 1, i] - still[j, k - 1, i])
+                        across = maps[n, k - 1, 0] * x + maps[n, k - 1, 1] * y + maps[n, k - 1, 2]
+                        down = maps[n, k - 1, 3] * x + maps[n, k - 1, 4] * y + maps[n, k - 1, 5]
+                        difference = moving[j, k - 1, i] - still[j, k - 1, i]
+                    out[n, j, i, 4 * k] = _like(difference, out)
                     x0, x1, u0, u1 = _taps(_pixel(across, width, corners), width)
                     y0, y1, v0, v1 = _taps(_pixel(down, height, corners), height)
                     a, b, c, d = v0 * u0, v0 * u1, v1 * u0, v1 * u1
                     for e in range(3):
                         value = a * small[y0, x0, e] + b * small[y0, x1, e]
                         value += c * small[y1, x0, e] + d * small[y1, x1, e]
-                        _store(line, 4 * k + 1 + e, value)
+                        out[n, j, i, 4 * k + 1 + e] = _like(value, out)
 
 
 @_compiled
@@ -239,22 +276,22 @@ def flow_result(
             y = np.float32(2 * j) / np.float32(height - 1) - np.float32(1.0)
             for i in range(width):
                 x = np.float32(2 * i) / np.float32(width - 1) - np.float32(1.0)
-                line = logits[n, j, i]
-                highest = _load(line[0])
+                highest = _load(logits[n, j, i, 0])
                 for k in range(1, channels - 1):
-                    highest = max(highest, _load(line[k]))
+                    highest = max(highest, _load(logits[n, j, i, k]))
                 for k in range(channels - 1):
-                    weight[k] = _exp(_load(line[k]) - highest)
-                far, low = _far(background[n], x, y)
+                    weight[k] = _exp(_load(logits[n, j, i, k]) - highest)
+                far, low = _far(background, n, x, y)
                 across, down, total = weight[0] * far, weight[0] * low, weight[0]
                 for k in range(channels - 2):
-                    m, part = maps[n, k], weight[k + 1]
-                    across += part * (m[0] * x + m[1] * y + m[2])
-                    down += part * (m[3] * x + m[4] * y + m[5])
+                    part = weight[k + 1]
+                    across += part * (maps[n, k, 0] * x + maps[n, k, 1] * y + maps[n, k, 2])
+                    down += part * (maps[n, k, 3] * x + maps[n, k, 4] * y + maps[n, k, 5])
                     total += part
                 flow[n, j, i, 0], flow[n, j, i, 1] = across / total, down / total
                 one = np.float32(1.0)
-                occlusion[n, j, i] = one / (one + _exp(-_load(line[channels - 1])))
+                shown = one / (one + _exp(-_load(logits[n, j, i, channels - 1])))
+                occlusion[n, j, i] = shown
 
 
 @_compiled
@@ -281,7 +318,6 @@ def blend(
         out: (b, H, W, C), written: `warped * occlusion + generated * (1 - occlusion)`.
     """
     height, width, channels = features.shape
-    source = features.reshape(height * width, channels)
     for n in range(len(out)):
         for j in range(height):
             rows = _between(j, height, flow.shape[1], corners)
@@ -289,30 +325,29 @@ def blend(
                 x, y, shown = np.float32(0.0), np.float32(0.0), np.float32(0.0)
                 if warped:
                     columns = _between(i, width, flow.shape[2], corners)
-                    x, y, shown = _flow_at(flow[n], occlusion[n], rows, columns)
+                    x, y, shown = _flow_at(flow, occlusion, n, rows, columns)
                 x0, x1, u0, u1 = _taps(_pixel(x, width, corners), width)
                 y0, y1, v0, v1 = _taps(_pixel(y, height, corners), height)
                 v0, v1 = v0 * shown, v1 * shown
                 a, b, c, d = v0 * u0, v0 * u1, v1 * u0, v1 * u1
-                s0, s1 = source[y0 * width + x0], source[y0 * width + x1]
-                s2, s3 = source[y1 * width + x0], source[y1 * width + x1]
-                line = out[n, j, i]
+                hidden = np.float32(1.0) - shown
                 if lie == NONE:
                     for e in range(channels):
-                        value = a * _load(s0[e]) + b * _load(s1[e])
-                        _store(line, e, value + (c * _load(s2[e]) + d * _load(s3[e])))
+                        value = a * _load(features[y0, x0, e]) + b * _load(features[y0, x1, e])
+                        rest = c * _load(features[y1, x0, e]) + d * _load(features[y1, x1, e])
+                        out[n, j, i, e] = _like(value + rest, out)
                     continue
-                hidden = np.float32(1.0) - shown
+                p, q, first = 0, 0, 0
+                row, column = j, i
                 if lie == PHASES:
                     p, q = j % 2, i % 2
                     first = (2 * p + q) * channels
-                    made = generated[n, j // 2 + p, i // 2 + q, first : first + channels]
-                else:
-                    made = generated[n, j, i]
+                    row, column = j // 2 + p, i // 2 + q
                 for e in range(channels):
-                    value = a * _load(s0[e]) + b * _load(s1[e])
-                    value += c * _load(s2[e]) + d * _load(s3[e])
-                    _store(line, e, value + hidden * _load(made[e]))
+                    value = a * _load(features[y0, x0, e]) + b * _load(features[y0, x1, e])
+                    value += c * _load(features[y1, x0, e]) + d * _load(features[y1, x1, e])
+                    value += hidden * _load(generated[n, row, column, first + e])
+                    out[n, j, i, e] = _like(value, out)
 
 
 @_compiled
@@ -331,12 +366,11 @@ def join(phases: np.ndarray, skip: np.ndarray, out: np.ndarray) -> None:
             p = j % 2
             for i in range(width):
                 q = i % 2
-                made, first = phases[n, j // 2 + p, i // 2 + q], (2 * p + q) * channels
-                line, kept = out[n, j, i], skip[n, j, i]
+                row, column, first = j // 2 + p, i // 2 + q, (2 * p + q) * channels
                 for e in range(channels):
-                    line[e] = made[first + e]
+                    out[n, j, i, e] = phases[n, row, column, first + e]
                 for e in range(beside):
-                    line[channels + e] = kept[e]
+                    out[n, j, i, channels + e] = skip[n, j, i, e]
 
 
 @_compiled
@@ -371,7 +405,7 @@ def picture(
                 x, y, shown = np.float32(0.0), np.float32(0.0), np.float32(0.0)
                 if warped:
                     columns = _between(i, width, flow.shape[2], corners)
-                    x, y, shown = _flow_at(flow[n], occlusion[n], rows, columns)
+                    x, y, shown = _flow_at(flow, occlusion, n, rows, columns)
                 x0, x1, u0, u1 = _taps(_pixel(x, width, corners), width)
                 y0, y1, v0, v1 = _taps(_pixel(y, height, corners), height)
                 a, b, c, d = v0 * u0, v0 * u1, v1 * u0, v1 * u1
