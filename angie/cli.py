@@ -14,6 +14,7 @@ from angie import __version__
 from angie.commands.animate import animate, demo
 from angie.commands.bundles import info, train
 from angie.commands.data import phantom, prepare
+from angie.commands.evaluate import evaluate
 from data_prep.errors import BadInput
 from data_prep.progress import console
 
@@ -25,7 +26,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-for command in (animate, demo, phantom, prepare, train, info):
+for command in (animate, demo, phantom, prepare, train, evaluate, info):
     app.command()(command)
 
 

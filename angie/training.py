@@ -61,9 +61,7 @@ class Trainer:
     @property
     def data_digest(self) -> str:
         """Hash of what the dataset says of its sources, crops and clips."""
-        names = ("dataset.json", "meta.csv")
-        text = b"".join((self.dataset.path / name).read_bytes() for name in names)
-        return hashlib.sha256(text).hexdigest()
+        return self.dataset.digest
 
     def check_dataset(self, part: str) -> None:
         """Refuse to go on from a part that was trained on other data.

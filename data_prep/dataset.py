@@ -1,6 +1,7 @@
 """A dataset folder: clips of speakers with frames, sound, features and words."""
 
 import csv
+import hashlib
 import json
 import os
 import zipfile
@@ -109,6 +110,12 @@ class Dataset:
             raise BadInput(f"{path}: {what}") from error
         if version > FORMAT:
             raise BadInput(f"{path}: made by a newer angie (format {version}); update angie")
+
+    @property
+    def digest(self) -> str:
+        """Hash of what the dataset says of its sources, crops and clips."""
+        text = b"".join((self.path / name).read_bytes() for name in (MANIFEST, TABLE))
+        return hashlib.sha256(text).hexdigest()
 
     def clips(self, split: str | None = None, speaker: str | None = None) -> list[Clip]:
         """Clips in order of their ids, all or those of a split and of a speaker.

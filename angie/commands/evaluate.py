@@ -1,0 +1,112 @@
+"""`angie evaluate`: the tables of the papers on a dataset."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from angie.commands.options import Device, Force, Seed, device_of, want_file
+from data_prep.errors import BadInput
+from data_prep.progress import console
+
+
+def evaluate(
+    places: Annotated[
+        list[Path] | None,
+        typer.Argument(help="A dataset, then the speaker bundles to compare."),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder of the report.")
+    ] = None,
+    videos: Annotated[
+        Path | None, typer.Option(help="Score a folder of videos of any system instead.")
+    ] = None,
+    reference: Annotated[
+        Path | None, typer.Option(help="With --videos: the dataset they are compared with.")
+    ] = None,
+    bundle: Annotated[
+        Path | None,
+        typer.Option(help="With --videos: whose regions count; without it the shipped one."),
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of what is random.")] = 1,
+    seed: Seed = 0,
+    start: Annotated[
+        str, typer.Option(help="First codes: truth (the clip's own first pair) or pose (still).")
+    ] = "truth",
+    no_images: Annotated[
+        bool, typer.Option("--no-images", help="Render nothing: motion scores alone.")
+    ] = False,
+    image_stride: Annotated[
+        int, typer.Option(min=2, help="Every so many frames two are rendered for image scores.")
+    ] = 25,
+    videos_shown: Annotated[
+        int, typer.Option(min=0, help="Clips of which side-by-side videos are made.")
+    ] = 2,
+    fgd: Annotated[
+        Path | None, typer.Option(help="Auto-encoder of an earlier report, to compare with it.")
+    ] = None,
+    fgd_steps: Annotated[
+        int, typer.Option(min=1, help="Most training steps of FGD's auto-encoder.")
+    ] = 3000,
+    truth: Annotated[
+        Path | None, typer.Option(help="Folder of angie phantom, for its true joints.")
+    ] = None,
+    perceptual_weights: Annotated[
+        Path | None, typer.Option(help="File of VGG19's weights for the perceptual distance.")
+    ] = None,
+    device: Device = "auto",
+    force: Force = False,
+) -> None:
+    """Score generators, baselines and the truth on the test clips of a dataset."""
+    if output is None:
+        raise BadInput("--output: name the folder of the report, -o REPORT")
+    if start not in ("truth", "pose"):
+        raise BadInput(f"--start {start}: there are truth and pose")
+    for path, what in ((fgd, "auto-encoder of a report"), (perceptual_weights, "weights")):
+        if path is not None:
+            want_file(path, what)
+    from angie.evaluation.networks import EvaluationConfig
+    from angie.evaluation.report import terminal_table
+
+    config = EvaluationConfig(
+        seeds=seeds,
+        seed=seed,
+        start=start,
+        images=not no_images,
+        image_stride=image_stride,
+        videos_shown=videos_shown,
+        fgd=fgd,
+        fgd_steps=fgd_steps,
+        truth=truth,
+        perceptual_weights="" if perceptual_weights is None else str(perceptual_weights),
+    )
+    if videos is None:
+        if reference is not None or bundle is not None:
+            raise BadInput("--reference and --bundle go with --videos; name DATASET BUNDLE...")
+        if not places or len(places) < 2:
+            raise BadInput("give a dataset and one or more speaker bundles: DATASET BUNDLE...")
+        from angie.evaluation.evaluate import evaluate as run
+
+        numbers = run(places[0], places[1:], output, config, device=device_of(device), force=force)
+    else:
+        if places:
+            raise BadInput("--videos: takes no DATASET BUNDLE...; name --reference and --bundle")
+        if reference is None:
+            raise BadInput("--videos: name the dataset to compare with, --reference DATASET")
+        from angie.demo import BUNDLE
+        from angie.evaluation.folder import evaluate_videos
+
+        numbers = evaluate_videos(
+            videos,
+            reference,
+            bundle or BUNDLE,
+            output,
+            config,
+            device=device_of(device),
+            force=force,
+        )
+    for space in numbers["spaces"]:
+        for line in space["warnings"]:
+            console.print(f"note: {line}", highlight=False, markup=False, soft_wrap=True)
+    print(terminal_table(numbers))
+    print(f"{output}: report.html, table.csv, results.json")

@@ -1,0 +1,1 @@
+"""`angie evaluate`: generators and baselines on the test clips of a dataset, scored and shown."""

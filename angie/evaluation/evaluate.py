@@ -1,0 +1,253 @@
+"""Evaluation from start to end: spaces, rows, scores, pictures, videos, report."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from angie import __version__
+from angie.bundle import Bundle, source_commit
+from angie.clips import MotionClip
+from angie.evaluation import report
+from angie.evaluation.joints import true_joints
+from angie.evaluation.networks import EvaluationConfig, find_autoencoder, make_frame_judge
+from angie.evaluation.pictures import Driver, FrameJudge, chosen_frames, score_pictures
+from angie.evaluation.rows import (
+    Row,
+    generated,
+    ground_truth,
+    mismatched,
+    motionless,
+    nearest_audio,
+    reconstructed,
+)
+from angie.evaluation.scoring import make_judge
+from angie.evaluation.space import RegionSpace, open_space
+from angie.evaluation.videos import spread, write_videos
+from angie.motion import Motion
+from data_prep.dataset import Dataset
+from data_prep.errors import BadInput
+from data_prep.output import check_apart, whole_folder
+from data_prep.progress import progress
+from data_prep.rates import FPS
+from mraa.renderer import Renderer
+
+
+def evaluate(
+    dataset: Path,
+    bundles: Sequence[Path],
+    output: Path,
+    config: EvaluationConfig | None = None,
+    *,
+    device: str = "cpu",
+    force: bool = False,
+) -> dict[str, Any]:
+    """Score bundles and baselines on the test clips of a dataset, and write the report.
+
+    Args:
+        dataset: folder that `angie prepare` made.
+        bundles: complete speaker bundles; those of one renderer share a table.
+        output: folder of the report.
+        config: how.
+        device: torch device of the renderers.
+        force: replace a report that exists.
+
+    Returns:
+        the content of results.json.
+
+    Raises:
+        BadInput: an input that cannot be used; nothing is left behind.
+    """
+    config = config or EvaluationConfig()
+    check_apart(output, [dataset, *bundles])
+    data = Dataset(dataset)
+    groups = _grouped(bundles)
+    joints = {} if config.truth is None else true_joints(data, config.truth)
+    with whole_folder(output, mark=report.MARK, force=force) as part:
+        spaces = []
+        for number, group in enumerate(groups):
+            scratch = part / f"motion-{number}"
+            space = open_space(data, next(iter(group.values())), scratch, device)
+            rows = make_rows(space, group, config)
+            spaces.append(
+                score_space(data, space, group, rows, joints, part, number, config, device)
+            )
+            _remove(scratch)
+        numbers = numbers_of(data, spaces, config)
+        report.write_report(part, data.path.resolve().name, numbers)
+    return numbers
+
+
+def _grouped(folders: Sequence[Path]) -> list[dict[str, Bundle]]:
+    """Complete bundles by row name, those of one renderer together.
+
+    Raises:
+        BadInput: no bundle, a bundle named twice, or one that lacks a part.
+    """
+    if not folders:
+        raise BadInput("no bundle is named; give one or more speaker bundles")
+    if len({Path(f).resolve() for f in folders}) < len(folders):
+        raise BadInput("a bundle is named twice; name each once")
+    names = [Path(folder).resolve().name for folder in folders]
+    groups: dict[str, dict[str, Bundle]] = {}
+    for folder, name in zip(folders, names, strict=True):
+        bundle = Bundle.open(folder)
+        for part in ("renderer", "statistics", "vq", "gpt", "refiner"):
+            bundle.path_of(part)
+        label = name if names.count(name) == 1 else f"{Path(folder).resolve().parent.name}/{name}"
+        groups.setdefault(bundle.hash_of("renderer"), {})[label] = bundle
+    return list(groups.values())
+
+
+def _remove(folder: Path) -> None:
+    if folder.is_dir():
+        for path in folder.iterdir():
+            path.unlink()
+        folder.rmdir()
+
+
+def make_rows(
+    space: RegionSpace, bundles: dict[str, Bundle], config: EvaluationConfig
+) -> list[Row]:
+    """Ground truth, the baselines, and what each bundle generates."""
+    seeds = [config.seed + i for i in range(config.seeds)]
+    rows = [ground_truth(space), motionless(space), mismatched(space, seeds), nearest_audio(space)]
+    with progress("gestures", len(bundles), "bundles") as advance:
+        for name, bundle in bundles.items():
+            rows.append(generated(space, bundle, name, seeds, config.start))
+            advance()
+    return rows
+
+
+def score_space(
+    data: Dataset,
+    space: RegionSpace,
+    bundles: dict[str, Bundle],
+    rows: list[Row],
+    joints: dict[str, NDArray],
+    folder: Path,
+    number: int,
+    config: EvaluationConfig,
+    device: str,
+) -> dict[str, Any]:
+    """Everything the report tells of one space; its networks and videos go into `folder`."""
+    model, scale, origin = find_autoencoder(space, folder, number, config)
+    judge = make_judge(space, model, scale)
+    bins = report.speed_bins(rows[0].runs[0], judge)
+    numbers = [report.numbers_of_row(row, judge, bins) for row in rows]
+    shown = space.test[spread(space.test, 1)[0]].name
+    images, videos = None, []
+    if config.images:
+        renderer = next(iter(bundles.values())).renderer().to(device)
+        frame_judge, more = make_frame_judge(data, space, renderer, joints, folder, number, config)
+        origin |= more
+        images = _images(data, space, bundles, frame_judge, joints, config)
+        videos = _videos(data, space, rows, renderer, folder, config)
+    return {
+        "estimator": space.estimator,
+        "bundles": {name: told_of(bundle, data) for name, bundle in bundles.items()},
+        "fps": judge.fps,
+        "active_regions": np.flatnonzero(space.active).tolist(),
+        "true_windows": len(judge.windows.raw),
+        "warnings": report.warnings_of(numbers),
+        "rows": numbers,
+        "images": images,
+        "videos": videos,
+        "activity": report.activities(rows, judge, shown),
+        "speed_bins": bins[1:].tolist(),
+        "origin": origin,
+    }
+
+
+def told_of(bundle: Bundle, data: Dataset) -> dict[str, Any]:
+    """What a report tells of a bundle."""
+    parts = bundle.manifest["parts"]
+    trained = parts["renderer"]["report"]
+    return {
+        "preset": bundle.preset.name,
+        "parts": {name: entry["sha256"] for name, entry in parts.items()},
+        "trained_on": trained.get("dataset", ""),
+        "trained_on_this_dataset": trained.get("dataset_sha256") == data.digest,
+        "generation": asdict(bundle.preset.generation),
+    }
+
+
+def _images(
+    data: Dataset,
+    space: RegionSpace,
+    bundles: dict[str, Bundle],
+    judge: FrameJudge,
+    joints: dict[str, NDArray],
+    config: EvaluationConfig,
+) -> dict[str, Any]:
+    """Image scores of the true regions, of stillness, and of each bundle's reconstruction."""
+    about = {
+        "true regions": "Drawn from the regions of the recorded frames: the renderer alone.",
+        "motionless": "Drawn from the first pose throughout.",
+    }
+    drivers: dict[str, Driver] = {"true regions": lambda clip: clip.motion, "motionless": _held}
+    for name, bundle in bundles.items():
+        drivers[name] = _through_codes(bundle)
+        about[name] = "Drawn from its reconstruction: the true motion encoded, decoded, refined."
+    frames = sum(len(chosen_frames(c.motion.frames, config.image_stride)) for c in space.test)
+    with progress("image scores", frames * len(drivers), "frames") as advance:
+        scores = score_pictures(
+            judge, data, space.test, drivers, joints, config.image_stride, advance
+        )
+    return {
+        "about": f"Every {config.image_stride}th frame and the one after it. Perceptual distance "
+        f"by {judge.perceptual.backend}.",
+        "rows": [report.numbers_of_images(n, about[n], s) for n, s in scores.items()],
+    }
+
+
+def _held(clip: MotionClip) -> Motion:
+    return Motion.from_vector(clip.motion[:1].vector().expand(clip.motion.frames, -1))
+
+
+def _through_codes(bundle: Bundle) -> Driver:
+    generator = bundle.generator()
+    return lambda clip: reconstructed(generator, clip)
+
+
+def _videos(
+    data: Dataset,
+    space: RegionSpace,
+    rows: Sequence[Row],
+    renderer: Renderer,
+    folder: Path,
+    config: EvaluationConfig,
+) -> list[str]:
+    if not config.videos_shown:
+        return []
+    place = folder / "videos"
+    place.mkdir(exist_ok=True)
+    renderers = {row.name: renderer for row in rows}
+    return write_videos(place, data, space.test, rows, renderers, config.videos_shown)
+
+
+def numbers_of(
+    data: Dataset, spaces: list[dict[str, Any]], config: EvaluationConfig
+) -> dict[str, Any]:
+    """The content of results.json."""
+    told: dict[str, Any] = {
+        "name": data.path.resolve().name,
+        "sha256": data.digest,
+        "fps": FPS,
+        "speakers": data.speakers(),
+    }
+    for split in ("train", "test"):
+        clips = data.clips(split)
+        told[f"{split}_clips"] = len(clips)
+        told[f"{split}_minutes"] = round(sum(clip.n_frames for clip in clips) / FPS / 60, 3)
+    return {
+        "angie": __version__,
+        "commit": source_commit(),
+        "dataset": told,
+        "options": config.as_dict(),
+        "spaces": spaces,
+        "definitions": [asdict(d) for d in report.ALL],
+    }

@@ -1,0 +1,88 @@
+"""The phantom's true joints in the frames of a dataset, and reading joints from regions."""
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_prep.dataset import Clip, Dataset
+from data_prep.errors import BadInput
+from data_prep.rates import FPS, IMAGE_SIZE
+
+RIDGE = 1e-3
+"""Weight of the squared coefficients for each frame, inputs standardised."""
+
+
+def true_joints(dataset: Dataset, raw: Path) -> dict[str, NDArray]:
+    """Joints (T, J, 2) of clips in pixels of their frames, by clip id.
+
+    Args:
+        dataset: prepared from videos of the phantom speaker.
+        raw: folder that `angie phantom` wrote, with a `.truth.npz` beside each video.
+
+    Raises:
+        BadInput: no clip of the dataset has its truth there.
+    """
+    files = {path.name: path for path in sorted(Path(raw).rglob("*.truth.npz"))}
+    sources = {source["name"]: source for source in dataset.manifest["sources"]}
+    found = {}
+    for clip in dataset.clips():
+        source = sources.get(clip.source)
+        name = "" if source is None else f"{Path(source['file']).stem}.truth.npz"
+        if source is not None and name in files:
+            joints = _joints_of(files[name], clip, source)
+            if joints is not None:
+                found[clip.id] = joints
+    if not found:
+        raise BadInput(f"{raw}: holds the truth (*.truth.npz) of no clip of {dataset.path}")
+    return found
+
+
+def _joints_of(path: Path, clip: Clip, source: dict[str, Any]) -> NDArray | None:
+    """Joints of one clip in pixels of its frames; None where the truth does not reach."""
+    try:
+        with np.load(path, allow_pickle=False) as truth:
+            joints = truth["joints"].astype(np.float64)
+    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise BadInput(f"{path}: no truth of the phantom speaker ({error})") from error
+    first = round(clip.start * FPS)
+    crops = [s["crop"] for s in source["spans"] if s["first"] <= first < s["stop"]]
+    crop = (crops[0] if crops else None) or source["crop"]
+    part = joints[first : first + clip.n_frames]
+    if crop is None or len(part) < clip.n_frames:
+        return None
+    return (part - [crop["x"], crop["y"]]) * (IMAGE_SIZE / crop["size"])
+
+
+@dataclass(frozen=True)
+class JointReader:
+    """Reads joints from region motion by ridge regression.
+
+    Attributes:
+        mean: (C,) of the motion vectors.
+        scale: (C,) their deviation.
+        weights: (C + 1, 2 J), the last row for the constant.
+    """
+
+    mean: NDArray
+    scale: NDArray
+    weights: NDArray
+
+    def __call__(self, vectors: NDArray) -> NDArray:
+        """Joints (T, J, 2) in pixels of motion vectors (T, C)."""
+        inputs = (vectors - self.mean) / self.scale
+        return (np.c_[inputs, np.ones(len(inputs))] @ self.weights).reshape(len(inputs), -1, 2)
+
+
+def fit_reader(vectors: NDArray, joints: NDArray) -> JointReader:
+    """Fit a reader to motion vectors (n, C) and joints (n, J, 2) of training frames."""
+    mean, scale = vectors.mean(0), np.maximum(vectors.std(0), 1e-6)
+    inputs = np.c_[(vectors - mean) / scale, np.ones(len(vectors))]
+    penalty = RIDGE * len(vectors) * np.eye(inputs.shape[1])
+    penalty[-1, -1] = 0  # the constant is free
+    target = joints.reshape(len(joints), -1)
+    weights = np.linalg.solve(inputs.T @ inputs + penalty, inputs.T @ target)
+    return JointReader(mean, scale, weights)

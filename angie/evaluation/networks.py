@@ -1,0 +1,182 @@
+"""What scoring needs besides the clips: trained for it, stored in the report, named by hash."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.torch import save_file
+
+from angie.clips import MotionClip
+from angie.evaluation.joints import JointReader, fit_reader
+from angie.evaluation.pictures import FrameJudge
+from angie.evaluation.space import RegionSpace
+from angie.metrics.autoencoder import (
+    AutoencoderTraining,
+    MotionAutoencoder,
+    MotionScale,
+    explained,
+    load_autoencoder,
+    save_autoencoder,
+    train_autoencoder,
+    windows,
+)
+from angie.metrics.identity import IdentityNetwork, IdentityTraining, train_identity
+from data_prep.dataset import Dataset
+from data_prep.errors import BadInput
+from data_prep.rates import FPS
+from data_prep.source import sha256
+from mraa.image_metrics import PerceptualDistance
+from mraa.renderer import Renderer
+
+IDENTITY_FRAMES = 12
+"""Frames of a training clip from which identities are learnt."""
+
+IDENTITY_CLIPS = 400
+"""Training clips from which identities are learnt, at most."""
+
+
+@dataclass(frozen=True)
+class EvaluationConfig:
+    """How an evaluation is made.
+
+    Attributes:
+        seeds: runs of what is random; run i has the seed `seed + i`.
+        seed: of the first run and of all that is trained for scoring.
+        start: "truth" (first ground-truth code pair) or "pose" (codes of stillness).
+        images: render frames: image scores and videos.
+        image_stride: every so many frames two in a row are rendered for image scores.
+        videos_shown: clips of which side-by-side videos are made.
+        fgd: stored auto-encoder of an earlier report; None to train one.
+        fgd_steps: most steps of its training.
+        truth: folder of `angie phantom` with the true joints; None without.
+        perceptual_weights: file of VGG19's weights; empty for the random network.
+    """
+
+    seeds: int = 1
+    seed: int = 0
+    start: str = "truth"
+    images: bool = True
+    image_stride: int = 25
+    videos_shown: int = 2
+    fgd: Path | None = None
+    fgd_steps: int = 3000
+    truth: Path | None = None
+    perceptual_weights: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for the report, without the paths of this machine."""
+        told = asdict(self)
+        for key in ("fgd", "truth"):
+            told[key] = None if told[key] is None else Path(told[key]).name
+        told["perceptual_weights"] = Path(self.perceptual_weights).name
+        return told
+
+
+def find_autoencoder(
+    space: RegionSpace, folder: Path, number: int, config: EvaluationConfig
+) -> tuple[MotionAutoencoder | None, MotionScale, dict[str, Any]]:
+    """The auto-encoder of FGD, trained or stored, as a file of the report.
+
+    Returns:
+        the network, None where there are too few training windows; its standardisation; and what
+        the report tells of it.
+
+    Raises:
+        BadInput: the stored one is of other regions.
+    """
+    path = folder / f"fgd-{number}.safetensors"
+    training = AutoencoderTraining(most_steps=config.fgd_steps)
+    if config.fgd is not None:
+        stored = load_autoencoder(config.fgd)
+        if stored.estimator != space.estimator:
+            raise BadInput(
+                f"{config.fgd}: trained on regions of another renderer "
+                f"({stored.estimator[:12]}, not {space.estimator[:12]}); leave --fgd out"
+            )
+        path.write_bytes(Path(config.fgd).read_bytes())
+        model, scale, told = stored.model, stored.scale, stored.training
+    else:
+        scale, told = space.scale, {**asdict(training), "seed": config.seed}
+        cut = _standard_windows(space.train, scale)
+        if len(cut) < 2:
+            return None, scale, {"auto-encoder of FGD": "none, too few training windows"}
+        model = train_autoencoder(cut, training, config.seed)
+        save_autoencoder(path, model, scale, space.estimator, FPS, training, config.seed)
+    kept = {
+        name: f"{explained(model, cut):.3f}"
+        for name, clips in (("training", space.train), ("test", space.test))
+        if len(cut := _standard_windows(clips, scale))
+    }
+    return model, scale, {
+        "auto-encoder of FGD": f"{path.name} sha256 {sha256(path)}",
+        "its training": told,
+        "variance it keeps": kept,
+    }  # fmt: skip
+
+
+def _standard_windows(clips: Sequence[MotionClip], scale: MotionScale) -> NDArray:
+    return windows([scale.standard(c.motion.vector().numpy(), c.speaker) for c in clips])
+
+
+def make_frame_judge(
+    data: Dataset,
+    space: RegionSpace,
+    renderer: Renderer,
+    joints: dict[str, NDArray],
+    folder: Path,
+    number: int,
+    config: EvaluationConfig,
+) -> tuple[FrameJudge, dict[str, Any]]:
+    """The networks that look at frames, and what the report tells of them."""
+    device = next(renderer.parameters()).device
+    perceptual = PerceptualDistance(config.perceptual_weights).to(device)
+    told: dict[str, Any] = {"perceptual distance": perceptual.backend}
+    identity = _identity(data, space, config)
+    if identity is None:
+        told["network of AED"] = "none, too few training clips"
+    else:
+        path = folder / f"identity-{number}.safetensors"
+        save_file({k: v.contiguous() for k, v in identity.state_dict().items()}, path)
+        told["network of AED"] = f"{path.name} sha256 {sha256(path)}, {asdict(IdentityTraining())}"
+    reader, error = _reader(space, joints)
+    if error is not None:
+        told["reader of joints"] = f"{error:.2f} px from the truth on true test frames"
+    return FrameJudge(renderer, perceptual, identity, reader), told
+
+
+def _identity(
+    data: Dataset, space: RegionSpace, config: EvaluationConfig
+) -> IdentityNetwork | None:
+    if len(space.train) < 2:
+        return None
+    stored = {clip.id: clip for clip in data.clips()}
+    rng = np.random.default_rng(config.seed)
+    chosen = np.sort(rng.permutation(len(space.train))[:IDENTITY_CLIPS])
+    pictures = []
+    for index in chosen:
+        store = data.frames(stored[space.train[index].name])
+        numbers = np.linspace(0, len(store) - 1, min(IDENTITY_FRAMES, len(store))).astype(int)
+        pictures.append(np.stack([store[int(i)][::2, ::2] for i in numbers]))
+    return train_identity(pictures, seed=config.seed)
+
+
+def _reader(
+    space: RegionSpace, joints: dict[str, NDArray]
+) -> tuple[JointReader | None, float | None]:
+    """A reader of joints fitted to the training clips, and its mean error on test clips, pixels."""
+    known = [clip for clip in space.train if clip.name in joints]
+    tests = [clip for clip in space.test if clip.name in joints]
+    if not known or not tests:
+        return None, None
+    reader = fit_reader(
+        np.concatenate([clip.motion.vector().double().numpy() for clip in known]),
+        np.concatenate([joints[clip.name] for clip in known]),
+    )
+    errors = [
+        np.abs(reader(clip.motion.vector().double().numpy()) - joints[clip.name]).mean((1, 2))
+        for clip in tests
+    ]
+    return reader, float(np.concatenate(errors).mean())

@@ -1,0 +1,217 @@
+"""Image scores: rendered frames against the recorded ones, from the first frame of each clip."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from angie.animate import render
+from angie.clips import MotionClip
+from angie.evaluation.definitions import PIXEL
+from angie.evaluation.joints import JointReader
+from angie.metrics import images
+from angie.metrics.identity import IdentityNetwork, embed
+from angie.metrics.score import Score
+from angie.motion import Motion, encode_cholesky
+from data_prep.dataset import Clip, Dataset
+from mraa.image_metrics import PerceptualDistance
+from mraa.image_metrics import score as image_scores
+from mraa.renderer import Renderer, from_pixels
+
+AT_ONCE = 8
+"""Frames scored together."""
+
+Driver = Callable[[MotionClip], Motion]
+"""Gives the motion that is rendered for a clip."""
+
+
+@dataclass(frozen=True)
+class FrameJudge:
+    """Networks that look at frames.
+
+    Attributes:
+        renderer: whose region estimator is used, in eval mode.
+        perceptual: network of the perceptual distance.
+        identity: network of AED; None where the training set has one clip alone.
+        reader: reads the phantom's joints; None where their truth is not known.
+    """
+
+    renderer: Renderer
+    perceptual: PerceptualDistance
+    identity: IdentityNetwork | None
+    reader: JointReader | None
+
+
+@dataclass
+class FrameScores:
+    """What is gathered over frames; one entry of each list a clip."""
+
+    pixels: dict[str, list[NDArray]] = field(default_factory=dict)
+    embeddings: tuple[list[NDArray], list[NDArray]] = field(default_factory=lambda: ([], []))
+    shifts: tuple[list[NDArray], list[NDArray]] = field(default_factory=lambda: ([], []))
+    joints: tuple[list[NDArray], list[NDArray]] = field(default_factory=lambda: ([], []))
+    flicker: list[float] = field(default_factory=list)
+
+    def scores(self, judge: FrameJudge) -> dict[str, Score]:
+        """All scores of `definitions.IMAGES`."""
+        keys = ("l1", "perceptual", "ssim", "psnr")
+        if not self.pixels:
+            reason = "no frame has a recorded counterpart"
+            more = ("aed", "akd", "akd_joints", "flicker")
+            return {key: Score.missing(reason) for key in (*keys, *more)}
+        result = {}
+        for key in keys:
+            values = np.concatenate(self.pixels[key])
+            result[key] = Score(float(values.mean()), counts={"frames": len(values)})
+        result["aed"] = (
+            Score.missing("the training set has too few clips to learn identities from")
+            if judge.identity is None
+            else images.aed(*self.embeddings)
+        )
+        result["akd"] = images.akd(*self.shifts)
+        result["akd_joints"] = (
+            images.akd(*self.joints)
+            if self.joints[0]
+            else Score.missing("the true joints are not known (phantom speaker: --truth)")
+        )
+        pairs = {"pairs of frames": len(self.flicker)}
+        result["flicker"] = (
+            Score(float(np.mean(self.flicker)), counts=pairs)
+            if self.flicker
+            else Score.missing("no two frames in a row", **pairs)
+        )
+        return result
+
+
+def chosen_frames(count: int, stride: int) -> NDArray:
+    """Numbers of the frames that are scored: every `stride`-th and the one after it.
+
+    The first frame is the source and never scored; a pair in a row is what flicker needs.
+    """
+    first = np.arange(max(stride, 1), count - 1, max(stride, 2))
+    return np.stack([first, first + 1], axis=1).reshape(-1)
+
+
+@torch.no_grad()
+def regions_seen(renderer: Renderer, frames: NDArray) -> Motion:
+    """What the region estimator sees in frames (n, H, W, 3) uint8."""
+    device = next(renderer.parameters()).device
+    shifts, factors = [], []
+    for first in range(0, len(frames), AT_ONCE):
+        batch = torch.from_numpy(frames[first : first + AT_ONCE]).to(device)
+        regions = renderer.estimator(from_pixels(batch))
+        shifts.append(regions.shift.cpu())
+        factors.append(encode_cholesky(regions.covariance).cpu())
+    return Motion(torch.cat(shifts), torch.cat(factors))
+
+
+@torch.no_grad()
+def compare(
+    judge: FrameJudge,
+    gathered: FrameScores,
+    true: NDArray,
+    made: NDArray,
+    seen: Motion,
+    joints: NDArray | None,
+) -> None:
+    """Score made frames of one clip and add them to what is gathered.
+
+    Args:
+        judge: the networks.
+        gathered: added to.
+        true: (n, H, W, 3) uint8 recorded frames: pairs in a row, as `chosen_frames`.
+        made: of the same shape.
+        seen: regions of the true frames, n.
+        joints: (n, J, 2) true joints in pixels; None when unknown.
+    """
+    device = next(judge.renderer.parameters()).device
+    for first in range(0, len(made), AT_ONCE):
+        pair = [
+            from_pixels(torch.from_numpy(frames[first : first + AT_ONCE]).to(device))
+            for frames in (made, true)
+        ]
+        batch = image_scores(pair[0], pair[1], judge.perceptual)
+        for key in ("l1", "perceptual", "ssim", "psnr"):
+            values = getattr(batch, key).cpu().double().numpy()
+            gathered.pixels.setdefault(key, []).append(values)
+    if judge.identity is not None:
+        for side, frames in zip(gathered.embeddings, (true, made), strict=True):
+            side.append(embed(judge.identity, frames))
+    own = regions_seen(judge.renderer, made)
+    for side, motion in zip(gathered.shifts, (seen, own), strict=True):
+        side.append(motion.shift.double().numpy() * PIXEL)
+    if joints is not None and judge.reader is not None:
+        gathered.joints[0].append(joints)
+        gathered.joints[1].append(judge.reader(own.vector().double().numpy()))
+    pairs = [frames.reshape(-1, 2, *frames.shape[1:]) for frames in (true, made)]
+    for a, b in zip(*pairs, strict=True):
+        gathered.flicker.append(images.flicker(a / np.float32(255), b / np.float32(255)))
+
+
+def score_pictures(
+    judge: FrameJudge,
+    dataset: Dataset,
+    clips: Sequence[MotionClip],
+    drivers: dict[str, Driver],
+    joints: dict[str, NDArray],
+    stride: int,
+    advance: Callable[..., None],
+) -> dict[str, dict[str, Score]]:
+    """Render clips from their first frame with each driver's motion, and score the frames.
+
+    Args:
+        judge: the networks.
+        dataset: holds the recorded frames.
+        clips: test clips.
+        drivers: by the name of their row.
+        joints: true joints (T, J, 2) of clips, by name, as far as known.
+        stride: every so many frames two in a row are scored.
+        advance: told the number of frames done.
+
+    Returns:
+        scores by row and key.
+    """
+    gathered = {name: FrameScores() for name in drivers}
+    stored = {clip.id: clip for clip in dataset.clips()}
+    for clip in clips:
+        numbers = chosen_frames(clip.motion.frames, stride)
+        true, source = read_chosen(dataset, stored[clip.name], numbers)
+        seen = pick(clip.motion, numbers)
+        known = joints.get(clip.name)
+        for name, driver in drivers.items():
+            motion = pick(driver(clip), numbers)
+            made = np.concatenate(list(rendered(judge.renderer, source, clip.motion[:1], motion)))
+            part = None if known is None else known[numbers]
+            compare(judge, gathered[name], true, made, seen, part)
+            advance(len(numbers))
+    return {name: part.scores(judge) for name, part in gathered.items()}
+
+
+def read_chosen(dataset: Dataset, clip: Clip, numbers: NDArray) -> tuple[NDArray, NDArray]:
+    """Frames (n, H, W, 3) uint8 of a clip with these numbers, and its first frame (H, W, 3)."""
+    store = dataset.frames(clip)
+    return np.stack([store[int(i)] for i in numbers]), store[0]
+
+
+def pick(motion: Motion, numbers: NDArray) -> Motion:
+    """The frames of a motion with these numbers."""
+    index = torch.as_tensor(numbers)
+    return Motion(motion.shift[index], motion.cholesky[index])
+
+
+def rendered(
+    renderer: Renderer, source: NDArray, pose: Motion, motion: Motion
+) -> Iterator[NDArray]:
+    """Frames (b, H, W, 3) uint8 of a motion, a few at a time.
+
+    Args:
+        renderer: in eval mode.
+        source: (H, W, 3) uint8.
+        pose: its pose, one frame.
+        motion: T frames.
+    """
+    device = next(renderer.parameters()).device
+    picture = from_pixels(torch.from_numpy(source)[None]).to(device)
+    return render(renderer, picture, pose, motion)

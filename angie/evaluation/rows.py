@@ -1,0 +1,245 @@
+"""Rows of the table: ground truth, baselines, generators; each gives motion for every test clip."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from angie.bundle import Bundle
+from angie.clips import MotionClip
+from angie.evaluation.space import RegionSpace, onsets_within
+from angie.generator import AngieGenerator
+from angie.motion import Motion, deltas
+from data_prep.rates import FRAMES_PER_TOKEN, tokens_covering
+
+WINDOW = 96
+"""Frames of a piece of the nearest sound: a training window of ANGIE."""
+
+FADE = 8
+"""Frames in which one such piece becomes the next."""
+
+STARTS = ("truth", "pose")
+"""How a generator begins: with the first code pair of the truth, or with those of stillness."""
+
+
+@dataclass(frozen=True)
+class Performance:
+    """Motion to the sound of a clip.
+
+    Attributes:
+        clip: name of the clip.
+        speaker: name of the speaker; None for one that the dataset does not know.
+        motion: T frames.
+        onsets: (n,) onsets of the sound within the T frames, seconds.
+        truth: what was recorded with that sound, the same T frames; None when unknown.
+    """
+
+    clip: str
+    speaker: str | None
+    motion: Motion
+    onsets: NDArray
+    truth: Motion | None
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the table.
+
+    Attributes:
+        name: as the table has it.
+        about: where the motion comes from, one sentence.
+        runs: performances of every clip for every seed; one run where nothing is random.
+    """
+
+    name: str
+    about: str
+    runs: list[list[Performance]]
+
+
+def perform(clip: MotionClip, motion: Motion) -> Performance:
+    """Motion to the sound of a clip, both cut to the shorter of the two."""
+    frames = min(motion.frames, clip.motion.frames)
+    onsets = onsets_within(clip, frames)
+    return Performance(clip.name, clip.speaker, motion[:frames], onsets, clip.motion[:frames])
+
+
+def ground_truth(space: RegionSpace) -> Row:
+    """The motion that was recorded with the sound."""
+    run = [perform(clip, clip.motion) for clip in space.test]
+    return Row("ground truth", "The motion that was recorded with the sound.", [run])
+
+
+def motionless(space: RegionSpace) -> Row:
+    """The first pose of each clip, held."""
+    run = []
+    for clip in space.test:
+        vector = clip.motion[:1].vector().expand(clip.motion.frames, -1)
+        run.append(perform(clip, Motion.from_vector(vector.clone())))
+    return Row("motionless", "The first pose of each clip, held.", [run])
+
+
+def mismatched(space: RegionSpace, seeds: Sequence[int]) -> Row:
+    """Real motion of the same speaker from another clip."""
+    runs = []
+    for seed in seeds:
+        donors = _donors(space, seed)
+        runs.append(
+            [perform(clip, donor.motion) for clip, donor in zip(space.test, donors, strict=True)]
+        )
+    return Row(
+        "mismatched",
+        "Real motion of the same speaker from another test clip (of a training clip where there "
+        "is one test clip alone), cut to the shorter of the two.",
+        runs,
+    )
+
+
+def _donors(space: RegionSpace, seed: int) -> list[MotionClip]:
+    """For each test clip another clip: a seeded derangement of each speaker's test clips."""
+    rng = np.random.default_rng(seed)
+    chosen: dict[str, MotionClip] = {}
+    for speaker in sorted({clip.speaker for clip in space.test}):
+        own = [clip for clip in space.test if clip.speaker == speaker]
+        if len(own) == 1:
+            other = [clip for clip in space.train if clip.speaker == speaker] or space.train
+            chosen[own[0].name] = other[int(rng.integers(len(other)))]
+            continue
+        order = rng.permutation(len(own))
+        step = int(rng.integers(1, len(own)))
+        for here, there in zip(order, np.roll(order, step), strict=True):
+            chosen[own[here].name] = own[there]
+    return [chosen[clip.name] for clip in space.test]
+
+
+def nearest_audio(space: RegionSpace) -> Row:
+    """Training motion whose sound is nearest, piece by piece."""
+    run = [perform(clip, _retrieve(clip, space)) for clip in space.test]
+    return Row(
+        "nearest audio",
+        f"For each {WINDOW} frames of the sound the motion of the same speaker's training piece "
+        "with the nearest standardised MFCC (mean square, every 8th frame a candidate), joined "
+        f"by linear fades of {FADE} frames.",
+        [run],
+    )
+
+
+def _sound(clip: MotionClip, space: RegionSpace) -> NDArray:
+    """Standardised cepstra (T, 12) of each frame: the mean of its own four."""
+    mfcc = torch.as_tensor(clip.features.mfcc[: clip.motion.frames])
+    middle = mfcc.shape[1] // 2
+    own = space.statistics.standard_mfcc(mfcc)[:, middle - 2 : middle + 2]
+    return own.mean(1).numpy()
+
+
+def _retrieve(clip: MotionClip, space: RegionSpace) -> Motion:
+    """Motion of the nearest training sound for a whole clip, as long as the clip."""
+    shelf = [other for other in space.train if other.speaker == clip.speaker] or space.train
+    sounds = [_sound(other, space) for other in shelf]
+    wanted, frames = _sound(clip, space), clip.motion.frames
+    total = torch.zeros(frames, 5 * clip.motion.regions)
+    weight = torch.zeros(frames, 1)
+    first = 0
+    while True:
+        piece = wanted[first : first + WINDOW]
+        found = _nearest(piece, shelf, sounds)
+        ramp = torch.ones(len(found), 1)
+        if first:
+            ramp[:FADE, 0] = torch.arange(1, FADE + 1) / (FADE + 1)
+        last = first + len(found)
+        if last < frames:
+            ramp[-FADE:, 0] = torch.arange(FADE, 0, -1) / (FADE + 1)
+        total[first:last] += found * ramp
+        weight[first:last] += ramp
+        if last >= frames:
+            return Motion.from_vector(total / weight)
+        first = last - FADE
+
+
+def _nearest(piece: NDArray, shelf: list[MotionClip], sounds: list[NDArray]) -> torch.Tensor:
+    """Motion vectors (n, 5K) of the training sound nearest to a piece (n, 12).
+
+    Where all training clips are shorter than the piece, n is the length of the longest.
+    """
+    size = min(len(piece), max(len(sound) for sound in sounds))
+    best, place = np.inf, (0, 0)
+    for index, sound in enumerate(sounds):
+        if len(sound) < size:
+            continue
+        view = np.lib.stride_tricks.sliding_window_view(sound, size, axis=0)[::FRAMES_PER_TOKEN]
+        apart = ((view - piece[:size].T) ** 2).mean(axis=(1, 2))
+        if apart.min() < best:
+            best, place = float(apart.min()), (index, int(apart.argmin()) * FRAMES_PER_TOKEN)
+    index, first = place
+    return shelf[index].motion[first : first + size].vector()
+
+
+def truth_codes(generator: AngieGenerator, motion: Motion) -> torch.Tensor:
+    """Codes (2, S) of recorded motion, its deltas continued with stillness to whole tokens."""
+    tokens = tokens_covering(motion.frames)
+    relative = deltas(motion.vector()) / generator.statistics.delta_scale
+    missing = tokens * FRAMES_PER_TOKEN - motion.frames
+    padded = torch.cat([relative, relative.new_zeros(missing, relative.shape[1])])
+    device = generator.vq.mean.device
+    return generator.vq.encode(padded[None].to(device))[0].cpu()
+
+
+def generated(
+    space: RegionSpace, bundle: Bundle, name: str, seeds: Sequence[int], start: str = "truth"
+) -> Row:
+    """What a bundle's generator makes of the sound of each test clip, from its first pose.
+
+    Args:
+        space: the clips.
+        bundle: a complete bundle of this space.
+        name: of the row.
+        seeds: one run each; a greedy generator gives one run.
+        start: "truth" begins with the first code pair of the recorded motion (Bailando's and the
+            paper's protocol), "pose" with the codes of stillness, as for a photo.
+    """
+    if start not in STARTS:
+        raise ValueError(f"start is one of {', '.join(STARTS)}, not {start!r}")
+    generator = bundle.generator()
+    random = generator.config.sampling.method != "greedy"
+    runs = []
+    for seed in seeds if random else seeds[:1]:
+        run = []
+        for clip in space.test:
+            codes = None
+            if start == "truth":
+                first = clip.motion[:WINDOW]
+                codes = truth_codes(generator, first)[:, :1]
+            motion = generator.generate(
+                clip.features,
+                clip.motion[:1],
+                clip.motion.frames,
+                seed,
+                speaker=known_speaker(generator, clip.speaker),
+                start_codes=codes,
+            )
+            run.append(perform(clip, motion))
+        runs.append(run)
+    begin = "the truth's first code pair" if start == "truth" else "the codes of stillness"
+    how = generator.config.sampling.method
+    return Row(name, f"ANGIE, from each clip's first pose and {begin}, sampling {how}.", runs)
+
+
+def known_speaker(generator: AngieGenerator, speaker: str) -> str | None:
+    """The speaker's name if the generator was trained on them."""
+    return speaker if speaker in generator.statistics.speakers else None
+
+
+def reconstructed(generator: AngieGenerator, clip: MotionClip) -> Motion:
+    """A clip through its own codes: encoded, decoded, refined; nothing is drawn, none is bounded.
+
+    The motion behind the image scores of the paper's Table 3.
+    """
+    whole = replace(generator, config=replace(generator.config, bounding="off"))
+    return whole.generate(
+        clip.features,
+        clip.motion[:1],
+        clip.motion.frames,
+        speaker=known_speaker(generator, clip.speaker),
+        start_codes=truth_codes(generator, clip.motion),
+    )

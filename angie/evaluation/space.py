@@ -1,0 +1,95 @@
+"""The clips of a dataset in the regions of one estimator: what generators of it are scored in.
+
+Regions of two estimators have nothing in common, so scores can be compared within a space alone.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from angie.bundle import Bundle
+from angie.clips import MotionClip, read_clips
+from angie.extraction import extract_dataset
+from angie.metrics.autoencoder import MotionScale
+from angie.metrics.beats import usual_steps
+from angie.motion import Motion
+from angie.statistics import MotionStatistics, measure
+from data_prep.dataset import Dataset
+from data_prep.errors import BadInput
+from data_prep.rates import FPS
+
+
+@dataclass(frozen=True)
+class RegionSpace:
+    """Clips of a dataset as one region estimator sees them.
+
+    Attributes:
+        estimator: hash of the renderer whose estimator measured the motion.
+        train: training clips, at least one.
+        test: test clips, at least one.
+        statistics: of the training clips.
+    """
+
+    estimator: str
+    train: list[MotionClip]
+    test: list[MotionClip]
+    statistics: MotionStatistics
+
+    @property
+    def active(self) -> NDArray:
+        """(K,) bool, the regions that gesture."""
+        return self.statistics.active.numpy()
+
+    @property
+    def usual(self) -> NDArray:
+        """(A,) mean step of the active regions in the training clips, for beat consistency."""
+        return usual_steps([points(clip.motion)[:, self.active] for clip in self.train])
+
+    @property
+    def scale(self) -> MotionScale:
+        """How motion vectors are standardised for FGD: displacement over its deviation, s_y."""
+        statistics = self.statistics
+        return MotionScale(
+            statistics.speakers, statistics.rest.numpy(), statistics.pose_scale.numpy()
+        )
+
+
+def points(motion: Motion) -> NDArray:
+    """Region centres (T, K, 2) float64 of motion, in [-1, 1]."""
+    return motion.shift.double().numpy()
+
+
+def open_space(dataset: Dataset, bundle: Bundle, scratch: Path, device: str) -> RegionSpace:
+    """Read the motion that the bundle's training left, or measure it.
+
+    Args:
+        dataset: the clips; both a training and a test clip are needed.
+        bundle: whose region estimator counts.
+        scratch: folder for motion that has to be measured; made if need be.
+        device: where to measure it.
+
+    Raises:
+        BadInput: no training or no test clips.
+    """
+    for split in ("train", "test"):
+        if not dataset.clips(split):
+            raise BadInput(f"{dataset.path}: has no {split} clips; prepare more videos")
+    renderer = bundle.hash_of("renderer")
+    identity = f"{renderer}-{dataset.digest}"
+    folder = bundle.train / "motion"
+    try:
+        train = read_clips(dataset, folder, "train", identity)
+        test = read_clips(dataset, folder, "test", identity)
+    except BadInput:  # of another dataset, or thrown away
+        extract_dataset(dataset, bundle.renderer().estimator.to(device), scratch, identity)
+        train = read_clips(dataset, scratch, "train", identity)
+        test = read_clips(dataset, scratch, "test", identity)
+    return RegionSpace(renderer, train, test, measure(train))
+
+
+def onsets_within(clip: MotionClip, frames: int) -> NDArray:
+    """Onsets (n,) of a clip's sound in its first `frames` frames, seconds."""
+    times = np.asarray(clip.features.onset_times, np.float64)
+    return times[times < frames / FPS]
