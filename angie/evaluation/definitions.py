@@ -70,7 +70,8 @@ MOTION: tuple[Definition, ...] = (
                "(Rhythmic Gesticulator), thousandths of a normalised unit.", 0),
     Definition("mad_px", "MAD px", LOW, "px/s^2", "The same in pixels.", 1),
     Definition("cca_global", "CCA global", HIGH, "", "First canonical correlation with the true "
-               "positions over the frames of all clips (GENEA, QPGesture)."),
+               "positions over the frames of all clips (GENEA, QPGesture). Clips of different "
+               "poses correlate by these alone: see the motionless row."),
     Definition("cca", "CCA", HIGH, "", "The same fitted to each clip, mean over clips."),
 )  # fmt: skip
 

@@ -5,7 +5,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from angie import __version__
@@ -75,7 +74,7 @@ def evaluate(
             spaces.append(
                 score_space(data, space, group, rows, joints, part, number, config, device)
             )
-            _remove(scratch)
+            remove_folder(scratch)
         numbers = numbers_of(data, spaces, config)
         report.write_report(part, data.path.resolve().name, numbers)
     return numbers
@@ -102,19 +101,30 @@ def _grouped(folders: Sequence[Path]) -> list[dict[str, Bundle]]:
     return list(groups.values())
 
 
-def _remove(folder: Path) -> None:
+def remove_folder(folder: Path) -> None:
+    """Remove a folder of files, if it is there."""
     if folder.is_dir():
         for path in folder.iterdir():
             path.unlink()
         folder.rmdir()
 
 
+def seeds_of(config: EvaluationConfig) -> list[int]:
+    """The seeds of the runs."""
+    return [config.seed + i for i in range(config.seeds)]
+
+
+def baselines(space: RegionSpace, seeds: Sequence[int]) -> list[Row]:
+    """The rows that always stand there: ground truth and three baselines."""
+    return [ground_truth(space), motionless(space), mismatched(space, seeds), nearest_audio(space)]
+
+
 def make_rows(
     space: RegionSpace, bundles: dict[str, Bundle], config: EvaluationConfig
 ) -> list[Row]:
     """Ground truth, the baselines, and what each bundle generates."""
-    seeds = [config.seed + i for i in range(config.seeds)]
-    rows = [ground_truth(space), motionless(space), mismatched(space, seeds), nearest_audio(space)]
+    seeds = seeds_of(config)
+    rows = baselines(space, seeds)
     with progress("gestures", len(bundles), "bundles") as advance:
         for name, bundle in bundles.items():
             rows.append(generated(space, bundle, name, seeds, config.start))
@@ -146,19 +156,10 @@ def score_space(
         origin |= more
         images = _images(data, space, bundles, frame_judge, joints, config)
         videos = _videos(data, space, rows, renderer, folder, config)
-    return {
-        "estimator": space.estimator,
-        "bundles": {name: told_of(bundle, data) for name, bundle in bundles.items()},
-        "fps": judge.fps,
-        "active_regions": np.flatnonzero(space.active).tolist(),
-        "true_windows": len(judge.windows.raw),
-        "warnings": report.warnings_of(numbers),
-        "rows": numbers,
+    told = {name: told_of(bundle, data) for name, bundle in bundles.items()}
+    return report.numbers_of_space(space, judge, rows, numbers, shown, bins, origin, told) | {
         "images": images,
         "videos": videos,
-        "activity": report.activities(rows, judge, shown),
-        "speed_bins": bins[1:].tolist(),
-        "origin": origin,
     }
 
 
@@ -225,8 +226,7 @@ def _videos(
         return []
     place = folder / "videos"
     place.mkdir(exist_ok=True)
-    renderers = {row.name: renderer for row in rows}
-    return write_videos(place, data, space.test, rows, renderers, config.videos_shown)
+    return write_videos(place, data, space.test, rows, renderer, config.videos_shown)
 
 
 def numbers_of(

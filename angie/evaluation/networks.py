@@ -51,6 +51,7 @@ class EvaluationConfig:
         videos_shown: clips of which side-by-side videos are made.
         fgd: stored auto-encoder of an earlier report; None to train one.
         fgd_steps: most steps of its training.
+        aed_steps: training steps of AED's network.
         truth: folder of `angie phantom` with the true joints; None without.
         perceptual_weights: file of VGG19's weights; empty for the random network.
     """
@@ -63,6 +64,7 @@ class EvaluationConfig:
     videos_shown: int = 2
     fgd: Path | None = None
     fgd_steps: int = 3000
+    aed_steps: int = 300
     truth: Path | None = None
     perceptual_weights: str = ""
 
@@ -134,13 +136,14 @@ def make_frame_judge(
     device = next(renderer.parameters()).device
     perceptual = PerceptualDistance(config.perceptual_weights).to(device)
     told: dict[str, Any] = {"perceptual distance": perceptual.backend}
-    identity = _identity(data, space, config)
+    training = IdentityTraining(steps=config.aed_steps)
+    identity = _identity(data, space, training, config.seed)
     if identity is None:
         told["network of AED"] = "none, too few training clips"
     else:
         path = folder / f"identity-{number}.safetensors"
         save_file({k: v.contiguous() for k, v in identity.state_dict().items()}, path)
-        told["network of AED"] = f"{path.name} sha256 {sha256(path)}, {asdict(IdentityTraining())}"
+        told["network of AED"] = f"{path.name} sha256 {sha256(path)}, {asdict(training)}"
     reader, error = _reader(space, joints)
     if error is not None:
         told["reader of joints"] = f"{error:.2f} px from the truth on true test frames"
@@ -148,19 +151,19 @@ def make_frame_judge(
 
 
 def _identity(
-    data: Dataset, space: RegionSpace, config: EvaluationConfig
+    data: Dataset, space: RegionSpace, training: IdentityTraining, seed: int
 ) -> IdentityNetwork | None:
     if len(space.train) < 2:
         return None
     stored = {clip.id: clip for clip in data.clips()}
-    rng = np.random.default_rng(config.seed)
+    rng = np.random.default_rng(seed)
     chosen = np.sort(rng.permutation(len(space.train))[:IDENTITY_CLIPS])
     pictures = []
     for index in chosen:
         store = data.frames(stored[space.train[index].name])
         numbers = np.linspace(0, len(store) - 1, min(IDENTITY_FRAMES, len(store))).astype(int)
         pictures.append(np.stack([store[int(i)][::2, ::2] for i in numbers]))
-    return train_identity(pictures, seed=config.seed)
+    return train_identity(pictures, training, seed)
 
 
 def _reader(

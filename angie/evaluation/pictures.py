@@ -23,6 +23,9 @@ from mraa.renderer import Renderer, from_pixels
 AT_ONCE = 8
 """Frames scored together."""
 
+SCORED_IN = "fp32"
+"""Precision of the frames that are scored."""
+
 Driver = Callable[[MotionClip], Motion]
 """Gives the motion that is rendered for a clip."""
 
@@ -182,7 +185,8 @@ def score_pictures(
         known = joints.get(clip.name)
         for name, driver in drivers.items():
             motion = pick(driver(clip), numbers)
-            made = np.concatenate(list(rendered(judge.renderer, source, clip.motion[:1], motion)))
+            frames = rendered(judge.renderer, source, clip.motion[:1], motion, SCORED_IN)
+            made = np.concatenate(list(frames))
             part = None if known is None else known[numbers]
             compare(judge, gathered[name], true, made, seen, part)
             advance(len(numbers))
@@ -202,7 +206,11 @@ def pick(motion: Motion, numbers: NDArray) -> Motion:
 
 
 def rendered(
-    renderer: Renderer, source: NDArray, pose: Motion, motion: Motion
+    renderer: Renderer,
+    source: NDArray,
+    pose: Motion,
+    motion: Motion,
+    precision: str = "auto",
 ) -> Iterator[NDArray]:
     """Frames (b, H, W, 3) uint8 of a motion, a few at a time.
 
@@ -211,7 +219,8 @@ def rendered(
         source: (H, W, 3) uint8.
         pose: its pose, one frame.
         motion: T frames.
+        precision: as `mraa.session.RenderSession`.
     """
     device = next(renderer.parameters()).device
     picture = from_pixels(torch.from_numpy(source)[None]).to(device)
-    return render(renderer, picture, pose, motion)
+    return render(renderer, picture, pose, motion, precision)

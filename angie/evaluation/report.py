@@ -13,7 +13,7 @@ from angie.evaluation.definitions import ALL, IMAGES, MOTION, PIXEL, SHORT
 from angie.evaluation.page import page
 from angie.evaluation.rows import Performance, Row
 from angie.evaluation.scoring import Judge, Summary, matched_curve, score_motion, summarise_runs
-from angie.evaluation.space import points
+from angie.evaluation.space import RegionSpace, points
 from angie.metrics.score import Score
 from data_prep.synchrony import activity, steps
 
@@ -94,6 +94,42 @@ def activities(rows: Sequence[Row], judge: Judge, clip: str) -> dict[str, Any]:
     return {"clip": clip, "curves": curves, "onsets": onsets.round(4).tolist()}
 
 
+def numbers_of_space(
+    space: RegionSpace,
+    judge: Judge,
+    rows: Sequence[Row],
+    numbers: list[dict[str, Any]],
+    shown: str,
+    bins: NDArray,
+    origin: Mapping[str, Any],
+    bundles: Mapping[str, Any],
+) -> dict[str, Any]:
+    """What the report tells of the motion in one space.
+
+    Args:
+        space: the clips.
+        judge: what the rows were scored against.
+        rows: with their motion.
+        numbers: `numbers_of_row` of each.
+        shown: name of the clip whose activity is plotted.
+        bins: edges of the plot of speeds.
+        origin: what was used, by what it is.
+        bundles: what is told of each bundle, by name.
+    """
+    return {
+        "estimator": space.estimator,
+        "bundles": bundles,
+        "fps": judge.fps,
+        "active_regions": np.flatnonzero(space.active).tolist(),
+        "true_windows": len(judge.windows.raw),
+        "warnings": warnings_of(numbers),
+        "rows": numbers,
+        "activity": activities(rows, judge, shown),
+        "speed_bins": bins[1:].tolist(),
+        "origin": origin,
+    }
+
+
 def warnings_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """What has to be read with care, once each."""
     titles = {definition.key: definition.title for definition in ALL}
@@ -163,7 +199,7 @@ def _any(rows: Sequence[Mapping[str, Any]], key: str) -> bool:
 
 
 def _aligned(rows: Sequence[Mapping[str, Any]], columns: Sequence[Any]) -> list[str]:
-    cells = [["", *(f"{c.title}{', ' + c.unit if c.unit else ''}" for c in columns)]]
+    cells = [["", *(f"{c.title}{', ' + c.unit if c.unit not in c.title else ''}" for c in columns)]]
     for row in rows:
         line = [row["name"]]
         for c in columns:

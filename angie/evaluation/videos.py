@@ -1,5 +1,6 @@
 """Side-by-side videos: the recorded frames, then the rendered motion of each row."""
 
+import itertools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -47,20 +48,25 @@ def header(names: Sequence[str]) -> NDArray:
 
 
 def frames_of(
-    renderer: Renderer, source: NDArray, pose: Motion, motion: Motion, count: int
+    renderer: Renderer, source: NDArray, pose: Motion, motion: Motion
 ) -> Iterator[NDArray]:
-    """`count` frames (H, W, 3) uint8 of a motion; a still one is drawn once."""
+    """Frames (H, W, 3) uint8 of a motion; a still one is drawn once."""
     vector = motion.vector()
     if bool((vector == vector[0]).all()):
         still = next(iter(rendered(renderer, source, pose, motion[:1])))[0]
         yield from [still] * motion.frames
-        frame = still
     else:
         for batch in rendered(renderer, source, pose, motion):
-            for frame in batch:
-                yield frame
-    dark = (frame * _AFTER).astype(np.uint8)
-    yield from [dark] * (count - motion.frames)
+            yield from batch
+
+
+def padded(frames: Iterator[NDArray], count: int) -> Iterator[NDArray]:
+    """`count` frames, at least one being given; the last one goes on, darkened."""
+    given = 0
+    for frame in itertools.islice(frames, count):
+        given += 1
+        yield frame
+    yield from [(frame * _AFTER).astype(np.uint8)] * (count - given)
 
 
 def write_video(
@@ -92,7 +98,7 @@ def write_videos(
     dataset: Dataset,
     clips: Sequence[MotionClip],
     rows: Sequence[Row],
-    renderers: dict[str, Renderer],
+    renderer: Renderer,
     count: int,
 ) -> list[str]:
     """Write `count` side-by-side videos of the rows' first runs.
@@ -102,7 +108,7 @@ def write_videos(
         dataset: holds the recorded frames and the sound.
         clips: test clips, in the order of the rows' performances.
         rows: what is shown; the ground truth is drawn from its regions.
-        renderers: by the name of the row they draw.
+        renderer: draws them all.
         count: of clips shown, at most.
 
     Returns:
@@ -117,9 +123,8 @@ def write_videos(
         for row in rows:
             label = "true regions" if row.name == "ground truth" else row.name
             motion = row.runs[0][index].motion
-            columns[label] = frames_of(
-                renderers[row.name], source, clip.motion[:1], motion, clip.motion.frames
-            )
+            frames = frames_of(renderer, source, clip.motion[:1], motion)
+            columns[label] = padded(frames, clip.motion.frames)
         name = f"{clip.name}.mp4"
         write_video(folder / name, dataset, stored[clip.name], columns)
         names.append(name)

@@ -1,0 +1,35 @@
+"""A region space of synthetic clips with onsets where the motion stops."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from angie.clips import MotionClip
+from angie.evaluation.space import RegionSpace, points
+from angie.metrics.autoencoder import AutoencoderTraining, MotionAutoencoder, train_autoencoder
+from angie.metrics.autoencoder import windows as cut
+from angie.statistics import measure
+from data_prep.synchrony import smooth_minima, steps
+
+
+def heard(clip: MotionClip) -> MotionClip:
+    """The clip with onsets at the beats of its own motion."""
+    beats = smooth_minima(steps(points(clip.motion)[:, :2]).mean(1), 25)
+    features = dataclasses.replace(clip.features, onset_times=beats.astype(np.float32))
+    return dataclasses.replace(clip, features=features)
+
+
+@pytest.fixture(scope="session")
+def space(clips) -> RegionSpace:
+    """Eight training clips and four test clips of two speakers."""
+    whole = [heard(clip) for clip in clips]
+    return RegionSpace("abc", whole[:8], whole[8:], measure(whole[:8]))
+
+
+@pytest.fixture(scope="session")
+def model(space) -> MotionAutoencoder:
+    """An auto-encoder trained for a moment."""
+    scale = space.scale
+    clips = [scale.standard(c.motion.vector().numpy(), c.speaker) for c in space.train]
+    return train_autoencoder(cut(clips), AutoencoderTraining(most_steps=20))

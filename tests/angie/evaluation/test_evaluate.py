@@ -1,0 +1,140 @@
+"""`angie evaluate` from dataset and bundle to report, and on a folder of videos."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from angie.evaluation.evaluate import evaluate
+from angie.evaluation.folder import evaluate_videos
+from angie.evaluation.networks import EvaluationConfig
+from angie.evaluation.videos import padded
+from data_prep.errors import BadInput
+from data_prep.video import VideoWriter, probe
+
+QUICK = {"fgd_steps": 5, "aed_steps": 5, "image_stride": 60, "videos_shown": 0}
+
+
+@pytest.fixture(scope="module")
+def made(dataset, bundle, phantom_videos, tmp_path_factory):
+    output = tmp_path_factory.mktemp("evaluation") / "report"
+    config = EvaluationConfig(seeds=2, truth=phantom_videos, **QUICK)
+    numbers = evaluate(dataset.path, [bundle.folder], output, config)
+    return output, numbers
+
+
+def row(numbers, name, part="rows"):
+    rows = numbers["spaces"][0][part]
+    return next(r for r in (rows["rows"] if part == "images" else rows) if r["name"] == name)
+
+
+def test_a_report_has_its_rows_and_files(made, bundle):
+    output, numbers = made
+    assert [r["name"] for r in numbers["spaces"][0]["rows"]] == [
+        "ground truth", "motionless", "mismatched", "nearest audio", bundle.folder.name
+    ]  # fmt: skip
+    names = {path.name for path in output.iterdir()}
+    assert names == {
+        "results.json", "table.csv", "report.html", "fgd-0.safetensors", "identity-0.safetensors"
+    }  # fmt: skip
+    assert json.loads((output / "results.json").read_text()) == json.loads(json.dumps(numbers))
+    own = row(numbers, bundle.folder.name)
+    assert own["runs"] == 2 and own["scores"]["fgd"]["interval"] is not None
+    assert own["scores"]["fgd"]["mean"] > 0
+
+
+def test_the_truth_is_perfect_and_stillness_has_no_beats(made):
+    _, numbers = made
+    truth = row(numbers, "ground truth")["scores"]
+    assert truth["fgd"]["mean"] == truth["maje"]["mean"] == 0
+    assert truth["cca"]["mean"] == pytest.approx(1)
+    assert row(numbers, "motionless")["scores"]["bc"]["mean"] is None
+
+
+def test_image_scores_of_the_true_regions_are_best(made):
+    _, numbers = made
+    true, still = (row(numbers, n, "images")["scores"] for n in ("true regions", "motionless"))
+    assert all(true[key]["mean"] is not None for key in true)
+    assert true["l1"]["mean"] < still["l1"]["mean"]
+    assert true["psnr"]["mean"] > still["psnr"]["mean"]
+    assert true["akd"]["mean"] < still["akd"]["mean"]
+
+
+@pytest.mark.slow
+def test_videos_stand_side_by_side(dataset, bundle, tmp_path):
+    config = EvaluationConfig(**{**QUICK, "videos_shown": 1})
+    numbers = evaluate(dataset.path, [bundle.folder], tmp_path / "report", config)
+    (name,) = numbers["spaces"][0]["videos"]
+    info = probe(tmp_path / "report" / "videos" / name)
+    assert (info.width, info.height) == (6 * 256, 280) and info.has_sound
+    clip = next(c for c in dataset.clips() if c.id == name.removesuffix(".mp4"))
+    assert info.duration == pytest.approx(clip.n_frames / 25, abs=0.05)
+
+
+def test_a_column_that_ends_early_goes_on_dark():
+    given = [np.full((2, 2, 3), value, np.uint8) for value in (100, 200)]
+    made = [int(frame[0, 0, 0]) for frame in padded(iter(given), 4)]
+    assert made == [100, 200, 70, 70]
+    assert len(list(padded(iter(given), 1))) == 1
+
+
+def test_the_same_seed_gives_the_same_report_and_a_stored_auto_encoder_is_taken(
+    made, dataset, bundle, tmp_path
+):
+    output, first = made
+    config = EvaluationConfig(seeds=2, images=False, **QUICK)
+    again = evaluate(dataset.path, [bundle.folder], tmp_path / "again", config)
+    assert again["spaces"][0]["rows"] == first["spaces"][0]["rows"]
+    assert not (tmp_path / "again" / "identity-0.safetensors").exists()
+    config = EvaluationConfig(images=False, fgd=output / "fgd-0.safetensors", start="pose")
+    third = evaluate(dataset.path, [bundle.folder], tmp_path / "third", config)
+    name = "auto-encoder of FGD"
+    assert third["spaces"][0]["origin"][name] == first["spaces"][0]["origin"][name]
+    assert row(third, "nearest audio")["scores"] == row(first, "nearest audio")["scores"]
+    assert "stillness" in row(third, bundle.folder.name)["about"]
+
+
+@pytest.fixture
+def folder(dataset, tmp_path):
+    """One test clip as it is under its own name, and a silent video of nobody."""
+    folder = tmp_path / "system"
+    folder.mkdir()
+    clip = dataset.clips("test")[0]
+    shutil.copy(dataset.path / "video" / f"{clip.id}.mp4", folder)
+    rng = np.random.default_rng(0)
+    with VideoWriter(folder / "other.mp4", (128, 128)) as video:
+        for _ in range(70):
+            video.write(rng.integers(0, 255, (128, 128, 3), dtype=np.uint8))
+    return folder
+
+
+def test_a_folder_of_videos_is_scored(folder, dataset, bundle, tmp_path):
+    output = tmp_path / "report"
+    config = EvaluationConfig(**{**QUICK, "videos_shown": 1})
+    numbers = evaluate_videos(folder, dataset.path, bundle.folder, output, config)
+    own = row(numbers, "system")["scores"]
+    assert "2 videos, 1 of them" in row(numbers, "system")["about"]
+    assert own["maje_px"]["mean"] < 1  # the clip itself, but for the video's compression
+    assert own["bc"]["runs"][0]["counts"]["without onsets"] == 1
+    scores = row(numbers, "system", "images")["scores"]
+    assert scores["l1"]["mean"] < 0.02 and scores["psnr"]["mean"] > 30
+    assert len(list((output / "videos").iterdir())) == 1
+
+
+def test_bad_folders_of_videos_are_refused(folder, dataset, bundle, tmp_path):
+    (tmp_path / "empty").mkdir()
+    wide = tmp_path / "wide"
+    wide.mkdir()
+    with VideoWriter(wide / "wide.mp4", (128, 64)) as video:
+        video.write(np.zeros((64, 128, 3), np.uint8))
+    for place, words in [("empty", "no videos"), ("none", "no folder"), ("wide", "128x64")]:
+        with pytest.raises(BadInput, match=words):
+            evaluate_videos(
+                tmp_path / place,
+                dataset.path,
+                bundle.folder,
+                tmp_path / "out",
+                EvaluationConfig(images=False, fgd_steps=1),
+            )
+    assert not list(tmp_path.glob("*out*")) and not list(tmp_path.glob(".*"))

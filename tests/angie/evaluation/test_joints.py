@@ -1,0 +1,32 @@
+"""The phantom's joints in the frames of a dataset, and reading them from regions."""
+
+import numpy as np
+import pytest
+
+from angie.evaluation.joints import fit_reader, true_joints
+from data_prep.errors import BadInput
+
+
+def test_a_reader_learns_a_linear_relation():
+    rng = np.random.default_rng(0)
+    vectors = rng.normal(size=(400, 6)) * [1, 2, 3, 0.1, 1, 1] + 5
+    weights = rng.normal(size=(6, 4))
+    joints = (vectors @ weights + 100).reshape(400, 2, 2)
+    reader = fit_reader(vectors[:300], joints[:300])
+    assert np.abs(reader(vectors[300:]) - joints[300:]).max() < 0.1
+
+
+def test_joints_of_the_phantom_lie_on_the_frames(phantom_videos, dataset):
+    joints = true_joints(dataset, phantom_videos)
+    assert set(joints) == {clip.id for clip in dataset.clips()}
+    for clip in dataset.clips():
+        own = joints[clip.id]
+        assert own.shape == (clip.n_frames, 12, 2)
+        crown, chin = own[:, 0], own[:, 2]
+        assert (crown[:, 1] < chin[:, 1]).all()  # y is down
+        assert (own[:, :4] > 0).all() and (own[:, :4] < 256).all()  # the head is in the picture
+
+
+def test_a_folder_without_truth_is_refused(dataset, tmp_path):
+    with pytest.raises(BadInput, match="truth"):
+        true_joints(dataset, tmp_path)
