@@ -154,7 +154,7 @@ def _plots(space: Mapping[str, Any], names: Sequence[str]) -> str:
     figures += [
         plots.lines("Matched beats over the threshold", curves, "threshold, s", "PMB, %"),
         plots.lines(
-            "Speed of the active regions", speeds, "mean speed, px/s", "share of frames", (420, 240)
+            "Speed of the active regions", speeds, "mean speed, px/s", "share of slower frames"
         ),
     ]
     activity = space["activity"]

@@ -33,7 +33,7 @@ def gesture_speed(run: Sequence[Performance], judge: Judge) -> list[NDArray]:
 
 
 def speed_bins(run: Sequence[Performance], judge: Judge) -> NDArray:
-    """Edges of the plot of speeds, pixels a second, up to what is true motion's."""
+    """Speeds (41,) of the plot, pixels a second, up to what is true motion's."""
     speeds = np.concatenate(gesture_speed(run, judge))
     return np.linspace(0, max(float(np.percentile(speeds, FASTEST)), 1e-6), SPEED_BINS + 1)
 
@@ -50,7 +50,7 @@ def numbers_of_row(row: Row, judge: Judge, bins: NDArray) -> dict[str, Any]:
         by_speaker[speaker] = {key: whole[key].as_dict() for key in BY_SPEAKER}
     curves = [matched_curve(run, judge) for run in row.runs]
     speeds = np.concatenate([s for run in row.runs for s in gesture_speed(run, judge)])
-    share = np.histogram(speeds, bins)[0] / max(len(speeds), 1)
+    slower = np.searchsorted(np.sort(speeds), bins, side="right") / max(len(speeds), 1)
     return {
         "name": row.name,
         "about": row.about,
@@ -59,7 +59,7 @@ def numbers_of_row(row: Row, judge: Judge, bins: NDArray) -> dict[str, Any]:
         "scores": {key: part.as_dict() for key, part in summarise_runs(runs).items()},
         "by_speaker": by_speaker,
         "pmb_curve": {f"{near}": _mean([c[near] for c in curves]) for near in curves[0]},
-        "speeds": share.tolist(),
+        "speeds": slower.tolist(),
     }
 
 
@@ -112,7 +112,7 @@ def numbers_of_space(
         rows: with their motion.
         numbers: `numbers_of_row` of each.
         shown: name of the clip whose activity is plotted.
-        bins: edges of the plot of speeds.
+        bins: speeds of the plot.
         origin: what was used, by what it is.
         bundles: what is told of each bundle, by name.
     """
@@ -125,7 +125,7 @@ def numbers_of_space(
         "warnings": warnings_of(numbers),
         "rows": numbers,
         "activity": activities(rows, judge, shown),
-        "speed_bins": bins[1:].tolist(),
+        "speed_bins": bins.tolist(),
         "origin": origin,
     }
 
