@@ -9,6 +9,7 @@ import torch
 
 from angie import __version__
 from angie.bundle import Bundle
+from angie.framing import check_size, framing
 from angie.motion import Motion, encode_cholesky
 from angie.statistics import MotionStatistics
 from data_prep.errors import BadInput
@@ -30,6 +31,7 @@ from data_prep.video import VideoWriter
 from data_prep.write_thread import WriteThread
 from mraa.affine import renderable
 from mraa.allocator import keep_memory
+from mraa.fullsize import FullSize
 from mraa.modes import hull_scale
 from mraa.regions import Regions, regions_from_motion
 from mraa.renderer import Renderer, from_pixels
@@ -49,6 +51,10 @@ class Result:
     """Length of the recording."""
     crop: Crop
     """Square of the photo that was animated, in pixels of the upright photo."""
+    width_height: tuple[int, int]
+    """Pixels of the video."""
+    note: str = ""
+    """What the person should know, or nothing."""
 
 
 def photo_crop(path: Path, photo: np.ndarray, person: str | None = None) -> Crop:
@@ -87,6 +93,8 @@ def animate(
     scale_motion: str = "none",
     greedy: bool = False,
     precision: str = "auto",
+    size: str | None = None,
+    full_frame: bool = False,
     force: bool = False,
 ) -> Result:
     """Make the person of a photo gesture to a recording.
@@ -105,11 +113,15 @@ def animate(
             regions) against the training speakers', "none" does not.
         greedy: always the likeliest gesture; every seed then gives the same video.
         precision: of the renderer's convolutions, as `mraa.session.RenderSession`.
+        size: "256", "512", "1024" or "photo": pixels of the video's side; above 256 the
+            photo's own pixels are moved.
+        full_frame: the video shows the whole photo, in its own pixels.
         force: replace an existing output.
 
     Raises:
         BadInput: an input that cannot be used; nothing is left behind.
     """
+    check_size(size, full_frame)
     try:
         choose_precision(precision, torch.device(device))
     except ValueError as error:
@@ -122,26 +134,29 @@ def animate(
         if crop is None:
             crop = photo_crop(photo_path, photo, person)
         check_crop(crop, *photo.shape[:2])
+        shown = framing(photo, crop, size, full_frame)
         renderer = bundle.renderer().to(device)
+        canvas = shown.canvas(align_corners=renderer.config.align_corners)
+        if canvas is not None and not renderer.config.skips:
+            raise BadInput("this bundle's renderer moves no photo; there is --size 256 alone")
         generator = bundle.generator()
         method = "greedy" if greedy else "topk"
         sampling = replace(generator.config.sampling, method=method)
         generator.config = replace(generator.config, sampling=sampling)
         frames = frames_covering(len(samples))
-        cut = torch.from_numpy(cut_out(photo, crop, IMAGE_SIZE))
+        cut = torch.from_numpy(cut_out(shown.photo, shown.crop, IMAGE_SIZE))
         picture = from_pixels(cut[None]).to(device)  # (1, 3, 256, 256)
         pose = source_pose(renderer, picture)
         motion = generator.generate(speech_features(samples), pose, frames, seed)
         if scale_motion == "hull":
             motion = scale_displacement(motion, pose, generator.statistics)
-        video = VideoWriter(
-            part, (IMAGE_SIZE, IMAGE_SIZE), FPS, sound=Path(sound_path), comment=COMMENT
-        )
+        video = VideoWriter(part, shown.width_height, FPS, sound=Path(sound_path), comment=COMMENT)
         with video, WriteThread(video) as encoder, progress("render", frames, "frames") as advance:
-            for batch in render(renderer, picture, pose, motion, precision):
+            for batch in render(renderer, picture, pose, motion, precision, canvas):
                 encoder.write(batch)
                 advance(len(batch))
-    return Result(Path(output), frames, len(samples) / SAMPLE_RATE, crop)
+    seconds = len(samples) / SAMPLE_RATE
+    return Result(Path(output), frames, seconds, crop, shown.width_height, shown.note)
 
 
 def source_pose(renderer: Renderer, picture: torch.Tensor) -> Motion:
@@ -167,6 +182,7 @@ def render(
     pose: Motion,
     motion: Motion,
     precision: str = "auto",
+    canvas: FullSize | None = None,
 ) -> Iterator[np.ndarray]:
     """Draw motion a few frames at a time: (b, H, W, 3) uint8 RGB.
 
@@ -176,10 +192,14 @@ def render(
         pose: pose of the picture, one frame.
         motion: T frames.
         precision: as `mraa.session.RenderSession`.
+        canvas: draws the frames at another size than the picture's.
     """
     regions = _regions(renderer, pose, picture.device)
     session = RenderSession(renderer, picture, regions, precision=precision)
-    return session.frames(_regions(renderer, motion, picture.device))
+    driving = _regions(renderer, motion, picture.device)
+    if canvas is None:
+        return session.frames(driving)
+    return (canvas.frames(p.flow, p.occlusion, p.painted) for p in session.parts(driving))
 
 
 def _regions(renderer: Renderer, motion: Motion, device: torch.device) -> Regions:

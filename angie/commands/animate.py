@@ -8,13 +8,16 @@ import typer
 from angie.commands.options import (
     Device,
     Force,
+    FullFrame,
     Precision,
     Seed,
+    Size,
     device_of,
     square_of,
     want_file,
 )
 from data_prep.errors import BadInput
+from data_prep.progress import console
 
 
 def animate(
@@ -39,6 +42,8 @@ def animate(
         bool, typer.Option("--greedy", help="Always the likeliest gesture, whatever the seed.")
     ] = False,
     precision: Precision = "auto",
+    size: Size = None,
+    full_frame: FullFrame = False,
     force: Force = False,
 ) -> None:
     """Make the person of a photo gesture to a recording."""
@@ -66,9 +71,17 @@ def animate(
         scale_motion=scale_motion,
         greedy=greedy,
         precision=precision,
+        size=size,
+        full_frame=full_frame,
         force=force,
     )
-    print(f"{result.path}: {result.frames} frames, {result.seconds:.2f} s of sound")
+    if result.note:
+        console.print(f"angie: {result.note}", highlight=False, markup=False, soft_wrap=True)
+    width, height = result.width_height
+    print(
+        f"{result.path}: {result.frames} frames of {width}x{height}, "
+        f"{result.seconds:.2f} s of sound"
+    )
 
 
 def demo(

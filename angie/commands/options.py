@@ -17,6 +17,16 @@ Device = Annotated[str, typer.Option(help="auto, cpu, cuda or mps.")]
 Precision = Annotated[
     str, typer.Option(help="Of the renderer: auto (the fastest the device has), fp32, bf16, fp16.")
 ]
+Size = Annotated[
+    str | None,
+    typer.Option(
+        help="Pixels of the video's side: 256, 512, 1024, or photo for the square's own.",
+        show_default="256",
+    ),
+]
+FullFrame = Annotated[
+    bool, typer.Option("--full-frame", help="Show the whole photo, not the square alone.")
+]
 Jobs = Annotated[int, typer.Option(min=0, help="Processes; 0 for one a core.")]
 
 

@@ -1,4 +1,5 @@
 import av
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -8,7 +9,7 @@ from angie.animate import animate, scale_displacement, source_pose
 from angie.bundle import Bundle
 from angie.motion import Motion
 from data_prep.errors import BadInput
-from data_prep.phantom.make import recording, still
+from data_prep.phantom.make import recording, still, take
 from data_prep.rates import SAMPLE_RATE
 from data_prep.sound import read_sound, write_wav
 from data_prep.speaker import Crop, cut_out, find_faces, speaker_crop
@@ -111,6 +112,47 @@ def test_an_input_is_never_replaced(photo, speech, bundle):
 def test_a_given_crop_is_used(photo, speech, bundle, tmp_path):
     result = make(photo, speech, tmp_path / "crop.mp4", bundle, crop=Crop(100, 0, 300))
     assert result.crop == Crop(100, 0, 300)
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    path = tmp_path_factory.mktemp("short") / "short.wav"
+    write_wav(path, 0.1 * np.sin(np.arange(4800) / 5), 16_000)
+    return path
+
+
+def error_of(frame, wanted):
+    return ((frame.astype(float) - wanted) ** 2).mean()
+
+
+def test_a_larger_video_shows_the_photos_own_pixels(short, bundle, tmp_path):
+    shot = take(0, 0, seconds=3.0, seed=5)
+    image = shot.figure_at(3).frame(0)
+    photo = tmp_path / "large.png"
+    Image.fromarray(image).save(photo)
+    crop = speaker_crop(find_faces(image)[0], *image.shape[:2])
+    errors = {}
+    for size in ("256", "512", "photo"):
+        result = make(photo, short, tmp_path / f"{size}.mp4", bundle, crop=crop, size=size)
+        side = crop.size // 2 * 2 if size == "photo" else int(size)
+        assert result.width_height == (side, side) and result.crop == crop
+        first = frames_of(result.path)[0]
+        assert first.shape == (side, side, 3)
+        large = cv2.resize(first, (1024, 1024), interpolation=cv2.INTER_CUBIC)
+        errors[size] = error_of(large, cut_out(image, crop, 1024))
+    assert errors["photo"] <= errors["512"] < 0.7 * errors["256"]
+
+
+def test_the_whole_photo_is_shown_and_only_the_square_moves(photo, short, bundle, tmp_path):
+    image = np.asarray(Image.open(photo))
+    crop = Crop(150, 20, 301)
+    path = make(photo, short, tmp_path / "w.mp4", bundle, crop=crop, full_frame=True).path
+    frames = frames_of(path)
+    assert frames.shape == (8, *image.shape)
+    beside = np.abs(frames[:, :, :140].astype(int) - image[:, :140])
+    assert beside.mean() < 3  # H.264
+    inner = (slice(80, 280), slice(200, 400))
+    assert np.abs(frames[-1][inner].astype(int) - frames[0][inner]).mean() > 0.3
 
 
 def test_hull_scaling_scales_displacements_by_size(bundle, photo):

@@ -85,6 +85,8 @@ def test_bad_input_is_one_line(inputs, bundle, tmp_path, capsys, photo, speech, 
         (["-o", "{tmp}/new.mp4", "--device", "cuda:99"], "--device"),
         (["-o", "{tmp}/new.mp4", "--device", "tpu"], "--device"),
         (["-o", "{tmp}/new.mp4", "--scale-motion", "twice"], "--scale-motion"),
+        (["-o", "{tmp}/new.mp4", "--size", "300"], "256, 512, 1024 and photo"),
+        (["-o", "{tmp}/new.mp4", "--size", "512", "--full-frame"], "give one"),
         (["-o", "{tmp}/new.mp4", "--speaker", "{tmp}"], "not a speaker bundle"),
     ],
 )
@@ -109,7 +111,7 @@ def test_animate_prints_its_result(inputs, bundle, tmp_path, capsys):
         *("-o", path, "--speaker", bundle.folder),
     )
     assert status == 0 and err == ""
-    assert out == f"{path}: 25 frames, 1.00 s of sound\n"
+    assert out == f"{path}: 25 frames of 256x256, 1.00 s of sound\n"
     assert [p.name for p in tmp_path.iterdir()] == ["out.mp4"]
 
 
