@@ -117,6 +117,14 @@ def test_a_given_crop_is_used(photo, speech, bundle, tmp_path):
 @pytest.fixture(scope="module")
 def short(tmp_path_factory):
     path = tmp_path_factory.mktemp("short") / "short.wav"
+    talk = recording(0, seconds=3.0, seed=5)
+    write_wav(path, talk.samples[: int(0.8 * talk.rate)], talk.rate)
+    return path
+
+
+@pytest.fixture(scope="module")
+def blip(tmp_path_factory):
+    path = tmp_path_factory.mktemp("blip") / "blip.wav"
     write_wav(path, 0.1 * np.sin(np.arange(1600) / 5), 16_000)
     return path
 
@@ -125,19 +133,19 @@ def error_of(frame, wanted):
     return ((frame.astype(float) - wanted) ** 2).mean()
 
 
-def test_a_larger_video_shows_the_photos_own_pixels(short, bundle, tmp_path):
+def test_a_larger_video_shows_the_photos_own_pixels(blip, bundle, tmp_path):
     image = take(0, 0, seconds=3.0, seed=5).figure_at(2).frame(0)
     photo = tmp_path / "large.png"
     Image.fromarray(image).save(photo)
-    crop = Crop(300, 0, 721)
+    crop = Crop(300, 0, 720)
     errors = {}
     for size, side in (("256", 256), ("512", 512), ("photo", 720)):
-        result = make(photo, short, tmp_path / f"{size}.mp4", bundle, crop=crop, size=size)
+        result = make(photo, blip, tmp_path / f"{size}.mp4", bundle, crop=crop, size=size)
         assert result.width_height == (side, side) and result.crop == crop
         first = frames_of(result.path)[0]
         assert first.shape == (side, side, 3)
-        large = cv2.resize(first, (721, 721), interpolation=cv2.INTER_CUBIC)
-        errors[size] = error_of(large, cut_out(image, crop, 721))
+        large = cv2.resize(first, (720, 720), interpolation=cv2.INTER_CUBIC)
+        errors[size] = error_of(large, cut_out(image, crop, 720))
     assert max(errors["photo"], errors["512"]) < errors["256"]
 
 
@@ -146,11 +154,11 @@ def test_the_whole_photo_is_shown_and_only_the_square_moves(photo, short, bundle
     crop = Crop(150, 20, 301)
     path = make(photo, short, tmp_path / "w.mp4", bundle, crop=crop, full_frame=True).path
     frames = frames_of(path)
-    assert frames.shape == (3, *image.shape)
+    assert frames.shape == (20, *image.shape)
     beside = np.abs(frames[:, :, :140].astype(int) - image[:, :140])
     assert beside.mean() < 3  # H.264
-    inner = (slice(80, 280), slice(200, 400))
-    assert np.abs(frames[-1][inner].astype(int) - frames[0][inner]).mean() > 0.1
+    change = np.abs(frames[10:].astype(int) - frames[0]).mean((0, 3))
+    assert change[80:280, 200:400].mean() > 3 * change[:, :140].mean()
 
 
 def test_hull_scaling_scales_displacements_by_size(bundle, photo):
