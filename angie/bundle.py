@@ -6,6 +6,7 @@
     vq.safetensors         VQ motion extractor
     gpt.safetensors        co-speech GPT
     refiner.safetensors    refiner
+    avd.safetensors        the renderer's disentanglement network; optional, for driving videos
     train/                 checkpoints, curves and caches of training; may be deleted
 
 Every part remembers the hashes of the parts that it was trained on; loading refuses others.
@@ -38,12 +39,19 @@ from data_prep.errors import BadInput
 from data_prep.output import whole_file
 from data_prep.rates import FPS, IMAGE_SIZE
 from data_prep.source import sha256
-from mraa.renderer import Renderer
+from mraa.avd import AvdNetwork
+from mraa.renderer import Renderer, make_avd
 
 FORMAT = 1
 """Version of the bundle's layout; loading refuses newer ones."""
 
-_SECTION = {"renderer": "renderer", "vq": "vq", "gpt": "gpt", "refiner": "refiner"}
+_SECTION = {
+    "renderer": "renderer",
+    "vq": "vq",
+    "gpt": "gpt",
+    "refiner": "refiner",
+    "avd": "renderer",
+}
 _ENTRY = {"file", "sha256", "upstream", "sizes", "report"}
 
 UPSTREAM = {
@@ -52,8 +60,15 @@ UPSTREAM = {
     "vq": ("renderer", "statistics"),
     "gpt": ("statistics", "vq"),
     "refiner": ("statistics", "vq"),
+    "avd": ("renderer",),
 }
 """Parts of a bundle in the order of training, each with those that it is trained on."""
+
+OPTIONAL = ("avd",)
+"""Parts that a bundle may lack and still be whole."""
+
+PARTS = tuple(part for part in UPSTREAM if part not in OPTIONAL)
+"""Parts that gesturing to speech needs."""
 
 STAGE_OF = {"statistics": "motion"}
 """Name of the training stage that makes a part, where it is not the part's own name."""
@@ -154,7 +169,7 @@ class Bundle:
     def sizes_of(self, part: str) -> str:
         """Hash of the settings that make a part's architecture."""
         section = _SECTION.get(part)
-        value = {} if section is None else _sizes(getattr(self.preset, section))
+        value = {} if section is None else _sizes(getattr(self.preset, section), part)
         return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
     def hash_of(self, part: str) -> str:
@@ -235,8 +250,24 @@ class Bundle:
         """The refiner in eval mode."""
         return self._load("refiner", Refiner(self.preset.refiner))
 
+    def avd(self) -> AvdNetwork:
+        """The disentanglement network in eval mode."""
+        return self._load("avd", make_avd(self.preset.renderer))
+
     def generator(self) -> AngieGenerator:
-        """The gesture generator on the CPU, all its parts in eval mode."""
+        """The gesture generator on the CPU, all its parts in eval mode.
+
+        Raises:
+            BadInput: parts are missing or unusable.
+        """
+        missing = [part for part in PARTS if part not in self.manifest["parts"]]
+        if missing and missing[0] != "renderer":
+            stages = ", ".join(STAGE_OF.get(part, part) for part in missing)
+            raise BadInput(
+                f"{self.folder}: cannot gesture to sound yet; angie train DATASET -o "
+                f"{self.folder} --resume trains what it lacks ({stages}); "
+                "animate --drive VIDEO works without"
+            )
         gpt = self.gpt()
         pack(gpt)
         return AngieGenerator(
@@ -252,18 +283,21 @@ class Bundle:
         return model.eval().requires_grad_(False)
 
 
-def _sizes(config: Any) -> dict[str, Any]:
-    """Settings of an architecture as a mapping.
+def _sizes(config: Any, part: str) -> dict[str, Any]:
+    """Settings of a part's architecture as a mapping.
 
     A setting that came after bundles had been made is marked `metadata={"later": True}`; at its
-    default, which must mean what was before it, it does not count: those bundles stay whole.
+    default, which must mean what was before it, it does not count: those bundles stay whole. One
+    that concerns another part alone is marked `metadata={"of": part}` and counts at its default.
     """
     values: dict[str, Any] = {}
     for entry in dataclasses.fields(config):
         value = getattr(config, entry.name)
+        if entry.metadata.get("of", part) != part:
+            value = entry.default
         if entry.metadata.get("later") and value == entry.default:
             continue
-        values[entry.name] = _sizes(value) if dataclasses.is_dataclass(value) else value
+        values[entry.name] = _sizes(value, part) if dataclasses.is_dataclass(value) else value
     return values
 
 

@@ -12,7 +12,7 @@ import typer  # noqa: E402
 
 from angie import __version__
 from angie.commands.animate import animate, demo
-from angie.commands.bundles import info, train
+from angie.commands.bundles import import_mraa, info, train
 from angie.commands.data import phantom, prepare
 from angie.commands.evaluate import evaluate
 from data_prep.errors import BadInput
@@ -26,7 +26,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-for command in (animate, demo, phantom, prepare, train, evaluate, info):
+for command in (animate, demo, phantom, prepare, train, evaluate, import_mraa, info):
     app.command()(command)
 
 

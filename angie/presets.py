@@ -18,6 +18,7 @@ from angie.gpt import GPTConfig
 from angie.refiner import RefinerConfig
 from angie.sampling import Sampling
 from angie.schedule import Schedule
+from angie.train_avd import AvdTraining
 from angie.train_gpt import GPTTraining
 from angie.train_refiner import RefinerTraining
 from angie.train_vq import VQTraining
@@ -46,6 +47,7 @@ class Preset:
     train_vq: VQTraining = field(default_factory=VQTraining)
     train_gpt: GPTTraining = field(default_factory=GPTTraining)
     train_refiner: RefinerTraining = field(default_factory=RefinerTraining)
+    train_avd: AvdTraining = field(default_factory=AvdTraining)
 
     def __post_init__(self) -> None:
         counts = {self.renderer.regions, self.vq.regions, self.refiner.regions}
@@ -88,6 +90,9 @@ def _lite() -> Preset:
         train_refiner=RefinerTraining(
             schedule=Schedule(rate=5e-4, betas=(0.9, 0.999), epochs=100, most_steps=1500)
         ),
+        train_avd=AvdTraining(
+            schedule=Schedule(rate=1e-3, batch=256, epochs=30, milestones=(20, 25), most_steps=4000)
+        ),
     )
 
 
@@ -123,6 +128,9 @@ def _tiny() -> Preset:
         train_gpt=GPTTraining(schedule=Schedule(rate=1e-3, most_steps=200), checks=10),
         train_refiner=RefinerTraining(
             schedule=Schedule(rate=2e-3, betas=(0.9, 0.999), most_steps=150), checks=10
+        ),
+        train_avd=AvdTraining(
+            schedule=Schedule(rate=1e-3, batch=64, epochs=30, milestones=(20, 25), most_steps=300)
         ),
     )
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from angie.bundle import STAGE_OF, UPSTREAM, Bundle
+from angie.bundle import OPTIONAL, STAGE_OF, UPSTREAM, Bundle
 from data_prep.errors import BadInput
 
 
@@ -23,6 +23,8 @@ def describe(bundle: Bundle) -> str:
 
 def _state(bundle: Bundle, part: str) -> str:
     entry = bundle.manifest["parts"].get(part)
+    if entry is None and part in OPTIONAL:
+        return f"none (optional); angie train --stage {part} makes it"
     if entry is None:
         return f"missing; angie train --stage {STAGE_OF.get(part, part)} makes it"
     try:
@@ -33,6 +35,8 @@ def _state(bundle: Bundle, part: str) -> str:
     words = [f"{entry['sha256'][:12]}"]
     if "dataset" in report:
         words.append(f"{report['minutes']} min in {report['clips']} clips of {report['dataset']}")
+    if "imported" in report:
+        words.append(f"imported from {report['imported']}, whose authors' terms hold for it")
     if "perceptual" in report:
         words.append(f"perceptual loss {report['perceptual']}")
     if "reconstruction" in report:
@@ -47,4 +51,11 @@ def _state(bundle: Bundle, part: str) -> str:
                 f"perceptual by {score['backend']} {score['perceptual']:.2f} "
                 f"(copy {score['copy_perceptual']:.2f})"
             )
+    if "recovery" in report:
+        score = report["recovery"]
+        words.append(
+            "held-out pose of a body of other size: shift off by "
+            f"{score['shift']:.4f} (as given {score['given_shift']:.4f}), affine by "
+            f"{score['affine']:.4f} (as given {score['given_affine']:.4f})"
+        )
     return "; ".join(words)

@@ -1,4 +1,4 @@
-"""Training a speaker bundle: renderer, motion, VQ, GPT, refiner, in this order."""
+"""Training a speaker bundle: renderer, motion, VQ, GPT, refiner, in this order; AVD if asked."""
 
 import dataclasses
 import hashlib
@@ -11,13 +11,15 @@ from typing import Any
 from lightning_fabric import Fabric
 from torch import nn
 
-from angie.bundle import UPSTREAM, Bundle
+from angie.bundle import OPTIONAL, STAGE_OF, UPSTREAM, Bundle
 from angie.clips import MotionClip, read_clips
 from angie.extraction import extract_dataset
 from angie.gpt import CoSpeechGPT
+from angie.motion import Motion, read_motion
 from angie.presets import Preset, override
 from angie.refiner import Refiner
 from angie.statistics import MotionStatistics, measure
+from angie.train_avd import recovery, train_avd
 from angie.train_gpt import train_gpt
 from angie.train_refiner import train_refiner
 from angie.train_vq import train_vq
@@ -32,16 +34,15 @@ from data_prep.speaker import FACE_DOWN, SIDE_IN_FACES
 from mraa.allocator import keep_memory
 from mraa.image_metrics import PerceptualDistance
 from mraa.reconstruction import reconstruct
-from mraa.renderer import Renderer
+from mraa.renderer import Renderer, make_avd
 from mraa.run import RunConfig, launch, native_precision
 from mraa.training import load_initial, train_renderer
 from mraa.vgg import load_vgg19
 
-STAGES = ("renderer", "motion", "vq", "gpt", "refiner")
-"""Stages of training in their order; each makes one part of the bundle."""
+PART_OF = {STAGE_OF.get(part, part): part for part in UPSTREAM}
+"""Part of the bundle that each stage of training makes, in their order."""
 
-PART_OF = dict(zip(STAGES, UPSTREAM, strict=True))
-"""Part of the bundle that a stage makes."""
+STAGES = tuple(PART_OF)
 
 HELD_OUT = 10
 """Every so many training clips one is kept from the motion stages to choose weights by."""
@@ -69,8 +70,8 @@ class Trainer:
         Raises:
             BadInput: the hash of the dataset that the part was trained on is another one.
         """
-        trained_on = self.bundle.manifest["parts"][part]["report"].get("dataset_sha256")
-        if trained_on != self.data_digest:
+        report = self.bundle.manifest["parts"][part]["report"]
+        if "imported" not in report and report.get("dataset_sha256") != self.data_digest:
             raise BadInput(
                 f"{self.bundle.folder}: {part} was trained on another dataset than "
                 f"{self.dataset.path}; give that one, or --force to start anew"
@@ -122,12 +123,17 @@ class Trainer:
         path = self.bundle.train / "statistics.safetensors"
 
         def make() -> Path:
-            estimator = self.bundle.renderer().estimator.to(self.fabric.device)
-            extract_dataset(self.dataset, estimator, self.motion_folder, self.motion_identity)
+            self.extract()
             measure(self.clips("train")).save(path)
             return path
 
+        self.bundle.manifest["speakers"] = self.dataset.speakers()
         self.publish("statistics", make)
+
+    def extract(self) -> None:
+        """Measure the region motion of all clips that have not been measured yet."""
+        estimator = self.bundle.renderer().estimator.to(self.fabric.device)
+        extract_dataset(self.dataset, estimator, self.motion_folder, self.motion_identity)
 
     def vq(self) -> None:
         """Train the VQ motion extractor."""
@@ -178,6 +184,29 @@ class Trainer:
         )
         self.publish("refiner", refiner.state_dict)
 
+    def avd(self) -> None:
+        """Train the disentanglement network on the region motion of the clips."""
+        preset = self.bundle.preset
+        if self.fabric.global_rank == 0:
+            self.extract()
+        self.fabric.barrier()
+        avd = train_avd(
+            self.bundle.train,
+            self.motions("train"),
+            preset.renderer,
+            preset.train_avd,
+            seed=self.seed,
+            run_config=self.how("avd"),
+            resume=self.resume,
+        )
+        report: dict[str, Any] = {}
+        tests = self.motions("test")
+        if tests and self.fabric.global_rank == 0:
+            score = recovery(avd, tests, preset.renderer, preset.train_avd.scale)
+            report["recovery"] = dataclasses.asdict(score)
+            console.print(f"avd, on held-out clips: {score}", soft_wrap=True)
+        self.publish("avd", avd.state_dict, **report)
+
     @property
     def motion_folder(self) -> Path:
         """Where the region motion of the clips is kept."""
@@ -191,6 +220,13 @@ class Trainer:
     def clips(self, split: str) -> list[MotionClip]:
         """Motion and features of a split."""
         return read_clips(self.dataset, self.motion_folder, split, self.motion_identity)
+
+    def motions(self, split: str) -> list[Motion]:
+        """Motion alone of a split, for clips with and without sound."""
+        return [
+            read_motion(self.motion_folder / f"{clip.id}.npz", self.motion_identity)
+            for clip in self.dataset.clips(split)
+        ]
 
     def windows(self) -> tuple[MotionWindows, MotionWindows | None]:
         """Training windows, and those of every tenth training clip to choose weights by.
@@ -235,7 +271,8 @@ def train(
         output: folder of the bundle.
         preset: sizes; for a bundle that exists already its own are kept.
         changes: settings that differ from the preset (or from the bundle's own).
-        stage: one of `STAGES`, or "all".
+        stage: one of `STAGES`, or "all": those that gesturing to speech needs, and "avd" where
+            `train_avd.with_all` is set.
         resume: go on with an interrupted training; finished stages are kept.
         force: throw an existing bundle away first.
         seed: everything random follows from it.
@@ -259,7 +296,7 @@ def train(
     fabric.barrier()
     keep_memory()
     trainer = Trainer(data, Bundle.open(output), seed, run, resume, fabric)
-    for name in STAGES if stage == "all" else (stage,):
+    for name in _stages(stage, trainer.bundle):
         if stage == "all" and resume and trainer.bundle.has(PART_OF[name]):
             trainer.check_dataset(PART_OF[name])
             console.print(f"{name}: done before")
@@ -267,6 +304,16 @@ def train(
         action: Callable[[], None] = getattr(trainer, name)
         action()
     return trainer.bundle
+
+
+def _stages(stage: str, bundle: Bundle) -> list[str]:
+    """Stages to run for `--stage`; the motion of an imported renderer is measured by the way."""
+    if stage == "vq" and not bundle.has("statistics"):
+        return ["motion", "vq"]
+    if stage != "all":
+        return [stage]
+    with_avd = bundle.preset.train_avd.with_all
+    return [name for name in STAGES if with_avd or PART_OF[name] not in OPTIONAL]
 
 
 def _try_out(settings: Preset) -> None:
@@ -277,6 +324,7 @@ def _try_out(settings: Preset) -> None:
     """
     parts: dict[str, Callable[[], nn.Module]] = {
         "renderer": lambda: Renderer(settings.renderer),
+        "avd": lambda: make_avd(settings.renderer),
         "vq": lambda: VQMotionExtractor(settings.vq),
         "gpt": lambda: CoSpeechGPT(settings.gpt),
         "refiner": lambda: Refiner(settings.refiner),

@@ -1,15 +1,17 @@
-"""Released MRAA checkpoints: their tensor names and settings in ours."""
+"""Released MRAA checkpoints: what they hold, and their tensor names in ours."""
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from data_prep.errors import BadInput
 from mraa.avd import AvdNetwork
-from mraa.renderer import GeneratorConfig, HourglassConfig, Renderer, RendererConfig, make_avd
+from mraa.released_sizes import Parts
+from mraa.renderer import Renderer, RendererConfig, make_avd
 
 _PARTS = ("generator", "region_predictor", "bg_predictor", "avd_network")
 
@@ -27,7 +29,7 @@ _PREFIXES = {
         "regions.": "estimator.regions.",
         "down.weight": "estimator.down.kernel",
     },
-    "bg_predictor": {"": "background."},
+    "bg_predictor": {"down.weight": "background.down.kernel", "": "background."},
 }
 
 
@@ -39,82 +41,98 @@ def our_name(part: str, name: str) -> str:
     raise BadInput(f"{part}.{name}: not a tensor of an MRAA checkpoint")
 
 
-def config_from_released(params: Mapping[str, Any]) -> RendererConfig:
-    """Renderer sizes from the `model_params` of a released configuration.
-
-    Released weights were trained with `align_corners=False` and no covariance floor.
-    """
-    estimator, background = params["region_predictor_params"], params["bg_predictor_params"]
-    generator = params["generator_params"]
-    flow = generator["pixelwise_flow_predictor_params"]
-    avd = params.get("avd_network_params", {})
-    return RendererConfig(
-        regions=params["num_regions"],
-        estimator=_hourglass(estimator),
-        estimator_scale=estimator.get("scale_factor", 1),
-        temperature=estimator["temperature"],
-        heatmap_padding=estimator.get("pad", 0),
-        background=_hourglass(background),
-        background_kind=background.get("bg_type", "zero"),
-        flow=_hourglass(flow),
-        flow_scale=flow.get("scale_factor", 1),
-        generator=GeneratorConfig(
-            width=generator["block_expansion"],
-            max_width=generator["max_features"],
-            down_blocks=generator["num_down_blocks"],
-            bottleneck_blocks=generator["num_bottleneck_blocks"],
-        ),
-        skips=generator.get("skips", False),
-        avd_id_width=avd.get("id_bottle_size", 64),
-        avd_pose_width=avd.get("pose_bottle_size", 64),
-        covariance_floor=0.0,
-        align_corners=False,
-        revert_axis_swap=params.get("revert_axis_swap", True),
-    )
-
-
-def _hourglass(params: Mapping[str, Any]) -> HourglassConfig:
-    return HourglassConfig(params["block_expansion"], params["num_blocks"], params["max_features"])
-
-
 def read_checkpoint(path: Path) -> dict[str, dict[str, Tensor]]:
-    """Read a `.pth` by weights-only loading; returns the state dict of each part.
+    """Read a `.pth` by weights-only loading; returns the state dict of each part in float32.
 
     Raises:
         BadInput: missing, not a checkpoint, truncated, or holding other things than tensors.
     """
     path = Path(path)
-    if not path.is_file():
+    if not path.exists():
         raise BadInput(f"{path}: no such file")
+    if not path.is_file():
+        raise BadInput(f"{path}: is no file; give the checkpoint, a .pth file")
     try:
-        parts = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # torch tells of old formats
+            content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises many kinds for a damaged or hostile file
         raise BadInput(f"{path}: not a readable checkpoint ({type(error).__name__})") from error
-    missing = [part for part in _PARTS[:2] if part not in parts]
+    if not isinstance(content, dict):
+        raise BadInput(f"{path}: not an MRAA checkpoint, it is a {type(content).__name__}")
+    missing = [part for part in _PARTS[:2] if part not in content]
     if missing:
         raise BadInput(f"{path}: not an MRAA checkpoint, it has no {' and no '.join(missing)}")
-    return {part: parts[part] for part in _PARTS if part in parts}
+    try:
+        return {part: _tensors(part, content[part]) for part in _PARTS if part in content}
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from error
 
 
-def load_released(
-    parts: Mapping[str, Mapping[str, Tensor]], config: RendererConfig
-) -> tuple[Renderer, AvdNetwork]:
+def _tensors(part: str, state: Any) -> dict[str, Tensor]:
+    """A state dict with plain names and whole, finite tensors."""
+    if not isinstance(state, dict) or not all(isinstance(name, str) for name in state):
+        raise BadInput(f"{part}: is no table of tensors")
+    if state and all(name.startswith("module.") for name in state):  # saved from several GPUs
+        state = {name.removeprefix("module."): tensor for name, tensor in state.items()}
+    tensors = {}
+    for name, tensor in state.items():
+        if not isinstance(tensor, Tensor) or tensor.layout != torch.strided or tensor.is_meta:
+            raise BadInput(f"{part}: {name} is no plain tensor")
+        if tensor.untyped_storage().nbytes() < tensor.numel() * tensor.element_size():
+            raise BadInput(f"{part}: {name} claims more values than it has")
+        if tensor.is_floating_point():
+            tensor = tensor.detach().float()
+            if not tensor.isfinite().all():
+                raise BadInput(f"{part}: {name} holds values that are not finite")
+        elif tensor.dtype != torch.int64:
+            raise BadInput(f"{part}: {name} is of type {tensor.dtype}, not of a float type")
+        tensors[name] = tensor.clone(memory_format=torch.contiguous_format)
+    return tensors
+
+
+def load_released(parts: Parts, config: RendererConfig) -> tuple[Renderer, AvdNetwork]:
     """Renderer and disentanglement network with a released checkpoint's weights, in eval mode.
 
     Raises:
         BadInput: tensors that do not fit the configuration.
     """
-    renderer, avd = Renderer(config), make_avd(config)
+    with torch.device("meta"):  # nothing is allocated for sizes that the tensors do not have
+        renderer, avd = Renderer(config), make_avd(config)
     tensors = {
         our_name(part, name): tensor
         for part, state in parts.items()
-        if part != "avd_network"
+        if part != "avd_network" and not (part == "bg_predictor" and not state)
         for name, tensor in state.items()
     }
-    try:
-        renderer.load_state_dict(tensors)
-        if "avd_network" in parts:
-            avd.load_state_dict(dict(parts["avd_network"]))
-    except RuntimeError as error:
-        raise BadInput(f"the checkpoint does not fit its configuration: {error}") from error
+    _fill(renderer, tensors)
+    if "avd_network" in parts:
+        _fill(avd, parts["avd_network"])
+    else:
+        avd = make_avd(config)
     return renderer.eval(), avd.eval()
+
+
+def _fill(module: nn.Module, tensors: Mapping[str, Tensor]) -> None:
+    """Give a module on the meta device its tensors.
+
+    Raises:
+        BadInput: what is missing, too many, or of another shape.
+    """
+    tensors = dict(tensors)
+    wanted = module.state_dict()
+    for name in wanted.keys() - tensors.keys():
+        if name.endswith("num_batches_tracked"):  # checkpoints of old versions have none
+            tensors[name] = torch.tensor(0)
+    for name in sorted(wanted.keys() | tensors.keys()):
+        if name not in tensors:
+            raise BadInput(f"the checkpoint has no {name}; it is not whole, or not MRAA's")
+        if name not in wanted:
+            raise BadInput(f"{name} of the checkpoint has no place in MRAA's networks")
+        found, place = tensors[name], wanted[name]
+        if found.shape != place.shape or found.dtype != place.dtype:
+            raise BadInput(
+                f"{name} of the checkpoint is {list(found.shape)}, the sizes want "
+                f"{list(place.shape)}"
+            )
+    module.load_state_dict(tensors, assign=True)

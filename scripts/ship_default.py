@@ -15,7 +15,7 @@ import soundfile
 from PIL import Image
 from safetensors.torch import load_file
 
-from angie.bundle import UPSTREAM, Bundle, halve
+from angie.bundle import PARTS, UPSTREAM, Bundle, halve
 from angie.demo import BUNDLE, PHOTO, SPEECH
 from data_prep.output import whole_folder
 from data_prep.phantom.make import recording, still
@@ -39,7 +39,7 @@ def ship_bundle(trained: Bundle, folder: Path) -> None:
         shipped = Bundle.create(part, preset)
         shipped.manifest["speakers"] = trained.manifest["speakers"]
         shipped.manifest["crop"] = trained.manifest["crop"]
-        for name in UPSTREAM:
+        for name in (part for part in UPSTREAM if trained.has(part) or part in PARTS):
             path = trained.path_of(name)
             report = {**trained.manifest["parts"][name]["report"], "precision": "float16"}
             if name == "statistics":

@@ -1,4 +1,4 @@
-"""Commands that make speaker bundles and tell of them: train, info."""
+"""Commands that make speaker bundles and tell of them: train, import-mraa, info."""
 
 import os
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from angie.commands.options import Device, Force, Seed, device_of
+from angie.commands.options import Device, Force, Seed, device_of, want_file
 from data_prep.errors import BadInput
 
 
@@ -21,7 +21,9 @@ def train(
     preset: Annotated[
         str | None, typer.Option(help="paper, lite or tiny; lite for a new bundle.")
     ] = None,
-    stage: Annotated[str, typer.Option(help="renderer, motion, vq, gpt, refiner or all.")] = "all",
+    stage: Annotated[
+        str, typer.Option(help="renderer, motion, vq, gpt, refiner, avd, or all but avd.")
+    ] = "all",
     resume: Annotated[bool, typer.Option("--resume", help="Go on after an interruption.")] = False,
     seed: Seed = 0,
     device: Device = "auto",
@@ -60,6 +62,26 @@ def train(
     )
     if int(os.environ.get("LOCAL_RANK", "0")) == 0:  # one line, however many processes
         print(f"{bundle.folder}: {', '.join(bundle.manifest['parts'])}")
+
+
+def import_mraa(
+    checkpoint: Annotated[Path, typer.Argument(help="A released .pth of MRAA.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the bundle.")],
+    config: Annotated[
+        Path | None, typer.Option(help="MRAA's YAML of it, for what the weights cannot tell.")
+    ] = None,
+    preset: Annotated[
+        str, typer.Option(help="Sizes of the stages still to be trained: paper, lite or tiny.")
+    ] = "paper",
+    force: Force = False,
+) -> None:
+    """Turn a released MRAA checkpoint into a speaker bundle with a renderer."""
+    from angie.presets import preset as find
+    from angie.released import import_released
+
+    want_file(checkpoint, "checkpoint")
+    bundle = import_released(checkpoint, output, config, find(preset), force=force)
+    print(f"{bundle.folder}: {', '.join(bundle.manifest['parts'])}")
 
 
 def info(

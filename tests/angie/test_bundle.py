@@ -5,7 +5,7 @@ import shutil
 import pytest
 import torch
 
-from angie.bundle import UPSTREAM, Bundle, _sizes, halve, load_weights
+from angie.bundle import PARTS, Bundle, _sizes, halve, load_weights
 from angie.presets import preset
 from angie.summary import describe
 from angie.training import train
@@ -23,7 +23,7 @@ def copy(bundle, tmp_path):
 def test_every_part_is_there_and_says_what_it_was_trained_on(copy):
     bundle = Bundle.open(copy)
     manifest = json.loads((copy / "bundle.json").read_text())
-    assert all(bundle.has(part) for part in UPSTREAM)
+    assert all(bundle.has(part) for part in PARTS)
     assert manifest["parts"]["gpt"]["upstream"]["vq"] == manifest["parts"]["vq"]["sha256"]
     assert manifest["config"] == json.loads(json.dumps(dataclasses.asdict(bundle.preset)))
     report = manifest["parts"]["renderer"]["report"]
@@ -128,16 +128,27 @@ def test_a_part_trained_again_makes_those_after_it_train_again(dataset, bundle, 
     assert again.has("vq") and not again.has("gpt")
     assert again.hash_of("vq") != bundle.hash_of("vq")
     finished = train(dataset.path, folder, resume=True, seed=1)
-    assert all(finished.has(part) for part in UPSTREAM)
+    assert all(finished.has(part) for part in PARTS)
     assert finished.hash_of("renderer") == bundle.hash_of("renderer")
     assert finished.hash_of("gpt") != bundle.hash_of("gpt")
 
 
 def test_resume_keeps_finished_stages(dataset, bundle, capsys):
-    before = {part: bundle.hash_of(part) for part in UPSTREAM}
+    before = {part: bundle.hash_of(part) for part in PARTS}
     again = train(dataset.path, bundle.folder, resume=True)
-    assert {part: again.hash_of(part) for part in UPSTREAM} == before
+    assert {part: again.hash_of(part) for part in PARTS} == before
     assert capsys.readouterr().err.count("done before") == 5
+
+
+def test_the_disentanglement_network_is_an_extra_part(dataset, bundle, tmp_path):
+    folder = tmp_path / "bundle"
+    shutil.copytree(bundle.folder, folder)
+    assert not bundle.has("avd")
+    settings = {"train_avd": {"schedule": {"most_steps": 20}}, "renderer": {"avd_id_width": 8}}
+    trained = train(dataset.path, folder, stage="avd", changes=settings)
+    assert trained.has("avd") and all(trained.has(part) for part in PARTS)
+    assert trained.avd().id_encoder[-1].out_features == 8
+    assert "recovery" in trained.manifest["parts"]["avd"]["report"]
 
 
 def test_a_later_setting_at_its_default_leaves_older_bundles_whole():
@@ -150,5 +161,14 @@ def test_a_later_setting_at_its_default_leaves_older_bundles_whole():
         width: int = 8
         depth: int = dataclasses.field(default=1, metadata={"later": True})
 
-    assert _sizes(Newer()) == _sizes(Older()) == {"width": 8}
-    assert _sizes(Newer(depth=2)) == {"width": 8, "depth": 2}
+    assert _sizes(Newer(), "vq") == _sizes(Older(), "vq") == {"width": 8}
+    assert _sizes(Newer(depth=2), "vq") == {"width": 8, "depth": 2}
+
+
+def test_a_setting_of_another_part_does_not_count():
+    @dataclasses.dataclass(frozen=True)
+    class Shared:
+        width: int = dataclasses.field(default=8, metadata={"of": "avd"})
+
+    assert _sizes(Shared(4), "renderer") == {"width": 8}
+    assert _sizes(Shared(4), "avd") == {"width": 4}

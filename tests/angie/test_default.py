@@ -4,7 +4,7 @@ import numpy as np
 from PIL import Image
 
 from angie.animate import animate
-from angie.bundle import UPSTREAM, Bundle
+from angie.bundle import PARTS, Bundle
 from angie.demo import BUNDLE, DEFAULT, PHOTO, SPEECH
 from data_prep.sound import read_sound, write_wav
 from data_prep.speaker import find_faces
@@ -13,7 +13,7 @@ from data_prep.video import read_frames
 
 def test_the_shipped_bundle_is_whole_and_small():
     bundle = Bundle.open(BUNDLE)
-    assert all(bundle.has(part) for part in UPSTREAM)
+    assert all(bundle.has(part) for part in PARTS)
     assert bundle.preset.name == "lite"
     size = sum(path.stat().st_size for path in DEFAULT.rglob("*") if path.is_file())
     assert size < 20e6

@@ -12,7 +12,8 @@ from mraa.grid import resize_flow, warp
 from mraa.losses import equivariance
 from mraa.modes import relative_regions
 from mraa.pyramid import PYRAMID_SCALES, ImagePyramid
-from mraa.released import config_from_released, load_released, our_name, read_checkpoint
+from mraa.released import load_released, our_name, read_checkpoint
+from mraa.released_sizes import config_from_released
 from mraa.renderer import Renderer, RendererConfig, make_avd
 from mraa.transform import ThinPlate
 
