@@ -1,6 +1,6 @@
 """Photo and recording to a gesture video: features, tokens, motion, frames, mp4."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,7 +9,7 @@ import torch
 
 from angie import __version__
 from angie.bundle import Bundle
-from angie.framing import check_size, framing
+from angie.framing import Framing, check_size, framing
 from angie.motion import Motion, encode_cholesky
 from angie.statistics import MotionStatistics
 from data_prep.errors import BadInput
@@ -29,7 +29,8 @@ from data_prep.speaker import (
 )
 from data_prep.video import VideoWriter
 from data_prep.write_thread import WriteThread
-from mraa.affine import renderable
+from mraa.affine import WITH_AXES, renderable
+from mraa.affine import track_axes as follow
 from mraa.allocator import keep_memory
 from mraa.fullsize import FullSize
 from mraa.modes import hull_scale
@@ -48,7 +49,7 @@ class Result:
     path: Path
     frames: int
     seconds: float
-    """Length of the recording."""
+    """Length of the recording; of a driving video, that of its sound, 0 without."""
     crop: Crop
     """Square of the photo that was animated, in pixels of the upright photo."""
     width_height: tuple[int, int]
@@ -95,6 +96,7 @@ def animate(
     precision: str = "auto",
     size: str | None = None,
     full_frame: bool = False,
+    track_axes: bool = False,
     force: bool = False,
 ) -> Result:
     """Make the person of a photo gesture to a recording.
@@ -116,10 +118,51 @@ def animate(
         size: "256", "512", "1024" or "photo": pixels of the video's side; above 256 the
             photo's own pixels are moved.
         full_frame: the video shows the whole photo, in its own pixels.
+        track_axes: follow the axes of regions from frame to frame, see
+            `mraa.affine.track_axes`; not in MRAA.
         force: replace an existing output.
 
     Raises:
         BadInput: an input that cannot be used; nothing is left behind.
+    """
+    check_look(precision, device, size, full_frame)
+    check_apart(output, (photo_path, sound_path))
+    with whole_file(output, force=force) as part:
+        subject = open_subject(
+            photo_path,
+            bundle,
+            device=device,
+            crop=crop,
+            person=person,
+            size=size,
+            full_frame=full_frame,
+            track_axes=track_axes,
+        )
+        samples = read_sound(sound_path)
+        generator = bundle.generator()
+        method = "greedy" if greedy else "topk"
+        sampling = replace(generator.config.sampling, method=method)
+        generator.config = replace(generator.config, sampling=sampling)
+        frames = frames_covering(len(samples))
+        pose = source_pose(subject.renderer, subject.picture)
+        motion = generator.generate(speech_features(samples), pose, frames, seed)
+        if scale_motion == "hull":
+            motion = scale_displacement(motion, pose, generator.statistics)
+        shown = subject.shown
+        video = VideoWriter(part, shown.width_height, FPS, sound=Path(sound_path), comment=COMMENT)
+        batches = render(
+            subject.renderer, subject.picture, pose, motion, precision, subject.canvas, track_axes
+        )
+        write_video(video, batches, frames)
+    seconds = len(samples) / SAMPLE_RATE
+    return Result(Path(output), frames, seconds, subject.crop, shown.width_height, shown.note)
+
+
+def check_look(precision: str, device: str, size: str | None, full_frame: bool) -> None:
+    """Refuse what the options of a video cannot mean, before anything is read.
+
+    Raises:
+        BadInput: which option, and why.
     """
     check_size(size, full_frame)
     try:
@@ -127,36 +170,72 @@ def animate(
     except ValueError as error:
         raise BadInput(f"--precision {precision}: {error}") from error
     keep_memory()
-    check_apart(output, (photo_path, sound_path))
-    with whole_file(output, force=force) as part:
-        photo = read_photo(photo_path)
-        samples = read_sound(sound_path)
-        if crop is None:
-            crop = photo_crop(photo_path, photo, person)
-        check_crop(crop, *photo.shape[:2])
-        shown = framing(photo, crop, size, full_frame)
-        renderer = bundle.renderer().to(device)
-        canvas = shown.canvas(align_corners=renderer.config.align_corners)
-        if canvas is not None and not renderer.config.skips:
-            raise BadInput("this bundle's renderer moves no photo; there is --size 256 alone")
-        generator = bundle.generator()
-        method = "greedy" if greedy else "topk"
-        sampling = replace(generator.config.sampling, method=method)
-        generator.config = replace(generator.config, sampling=sampling)
-        frames = frames_covering(len(samples))
-        cut = torch.from_numpy(cut_out(shown.photo, shown.crop, IMAGE_SIZE))
-        picture = from_pixels(cut[None]).to(device)  # (1, 3, 256, 256)
-        pose = source_pose(renderer, picture)
-        motion = generator.generate(speech_features(samples), pose, frames, seed)
-        if scale_motion == "hull":
-            motion = scale_displacement(motion, pose, generator.statistics)
-        video = VideoWriter(part, shown.width_height, FPS, sound=Path(sound_path), comment=COMMENT)
-        with video, WriteThread(video) as encoder, progress("render", frames, "frames") as advance:
-            for batch in render(renderer, picture, pose, motion, precision, canvas):
-                encoder.write(batch)
-                advance(len(batch))
-    seconds = len(samples) / SAMPLE_RATE
-    return Result(Path(output), frames, seconds, crop, shown.width_height, shown.note)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A photo that is ready to be animated."""
+
+    renderer: Renderer
+    picture: torch.Tensor
+    """(1, 3, 256, 256) in [0, 1], the square of the photo, on the device."""
+    crop: Crop
+    """The square, in pixels of the upright photo."""
+    shown: Framing
+    """What the video shows."""
+    canvas: FullSize | None
+    """What draws the frames at that size; None where the renderer's own frames do."""
+
+
+def open_subject(
+    photo_path: Path,
+    bundle: Bundle,
+    *,
+    device: str,
+    crop: Crop | None,
+    person: str | None,
+    size: str | None,
+    full_frame: bool,
+    track_axes: bool,
+) -> Subject:
+    """Read a photo, find its person and load the renderer; options as in `animate`.
+
+    Raises:
+        BadInput: an input that cannot be used.
+    """
+    photo = read_photo(photo_path)
+    if crop is None:
+        crop = photo_crop(photo_path, photo, person)
+    check_crop(crop, *photo.shape[:2])
+    shown = framing(photo, crop, size, full_frame)
+    renderer = bundle.renderer().to(device)
+    if track_axes:
+        if renderer.config.affine_mode not in WITH_AXES:
+            mode = renderer.config.affine_mode
+            raise BadInput(f"--track-axes: regions of this bundle have no axes (they are {mode})")
+        renderer.flow.revert_axis_swap = False  # signs and order are meant from now on
+    canvas = shown.canvas(align_corners=renderer.config.align_corners)
+    if canvas is not None and not renderer.config.skips:
+        raise BadInput("this bundle's renderer moves no photo; there is --size 256 alone")
+    cut = torch.from_numpy(cut_out(shown.photo, shown.crop, IMAGE_SIZE))
+    return Subject(renderer, from_pixels(cut[None]).to(device), crop, shown, canvas)
+
+
+def write_video(video: VideoWriter, batches: Iterable[np.ndarray], frames: int) -> int:
+    """Encode batches of frames (b, H, W, 3) uint8 as they are drawn; returns their number.
+
+    Args:
+        video: the writer; it is closed.
+        batches: the frames.
+        frames: how many are expected, for the progress.
+    """
+    count = 0
+    with video, WriteThread(video) as encoder, progress("render", frames, "frames") as advance:
+        for batch in batches:
+            encoder.write(batch)
+            advance(len(batch))
+            count += len(batch)
+    return count
 
 
 def source_pose(renderer: Renderer, picture: torch.Tensor) -> Motion:
@@ -183,6 +262,7 @@ def render(
     motion: Motion,
     precision: str = "auto",
     canvas: FullSize | None = None,
+    tracked: bool = False,
 ) -> Iterator[np.ndarray]:
     """Draw motion a few frames at a time: (b, H, W, 3) uint8 RGB.
 
@@ -193,10 +273,34 @@ def render(
         motion: T frames.
         precision: as `mraa.session.RenderSession`.
         canvas: draws the frames at another size than the picture's.
+        tracked: follow the axes of regions from the picture on.
     """
     regions = _regions(renderer, pose, picture.device)
-    session = RenderSession(renderer, picture, regions, precision=precision)
     driving = _regions(renderer, motion, picture.device)
+    if tracked:
+        driving = replace(driving, affine=follow(driving.affine, regions.affine[0]))
+    return draw(renderer, picture, regions, driving, precision, canvas)
+
+
+def draw(
+    renderer: Renderer,
+    picture: torch.Tensor,
+    regions: Regions,
+    driving: Regions | Iterable[Regions],
+    precision: str = "auto",
+    canvas: FullSize | None = None,
+) -> Iterator[np.ndarray]:
+    """Draw regions a few frames at a time: (b, H, W, 3) uint8 RGB; see `render`.
+
+    Args:
+        renderer: in eval mode.
+        picture: (1, 3, H, W) in [0, 1].
+        regions: (1, K) of the picture.
+        driving: (T, K), or any number of such chunks.
+        precision: as `mraa.session.RenderSession`.
+        canvas: draws the frames at another size than the picture's.
+    """
+    session = RenderSession(renderer, picture, regions, precision=precision)
     if canvas is None:
         return session.frames(driving)
     return (canvas.frames(p.flow, p.occlusion, p.painted) for p in session.parts(driving))

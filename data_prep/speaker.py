@@ -81,7 +81,7 @@ def speaker_crop(face: Face, height: int, width: int) -> Crop:
     return Crop(min(round(x), max(width - size, 0)), min(round(y), max(height - size, 0)), size)
 
 
-def check_crop(crop: Crop, height: int, width: int) -> None:
+def check_crop(crop: Crop, height: int, width: int, option: str = "--crop") -> None:
     """Refuse a square that shows nothing of a picture, or is absurdly larger than it.
 
     Raises:
@@ -89,9 +89,9 @@ def check_crop(crop: Crop, height: int, width: int) -> None:
     """
     outside = crop.x >= width or crop.y >= height or min(crop.x, crop.y) <= -crop.size
     if crop.size < 1 or outside:
-        raise BadInput(f"--crop: the square lies outside of the picture ({width}x{height})")
+        raise BadInput(f"{option}: the square lies outside of the picture ({width}x{height})")
     if crop.size > 4 * max(height, width):
-        raise BadInput(f"--crop: the square is too large for the picture ({width}x{height})")
+        raise BadInput(f"{option}: the square is too large for the picture ({width}x{height})")
 
 
 def part_outside(crop: Crop, height: int, width: int) -> float:

@@ -1,6 +1,7 @@
 """Writing a video with its sound as the frames come (mp4, H.264 and AAC)."""
 
 import contextlib
+import itertools
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -58,6 +59,8 @@ class VideoWriter:
         comment: str = "",
         crf: int = 18,
         threads: int = 0,
+        origin: float | None = None,
+        fit: bool = False,
     ) -> None:
         """Open the file.
 
@@ -70,6 +73,10 @@ class VideoWriter:
             comment: metadata of the file; marks generated video as such.
             crf: x264's quality, lower is better; 18 is visually without loss.
             threads: of the picture's encoder, 0 for as many as it likes.
+            origin: presentation time in the recording's file that time 0 of this video has (the
+                start of that file's pictures, for sound in step with them); None for the
+                sound's own first sample.
+            fit: end the sound with the picture: cut, or followed by silence. `cut` tells then.
 
         Raises:
             BadInput: the recording cannot be read (see `read_sound`).
@@ -81,10 +88,13 @@ class VideoWriter:
         self._shape = (height, width, 3)
         self._fps = fps
         self._count = 0
+        self._fit = fit
+        self._rest: np.ndarray | None = None
+        self.cut = False
         self._reformatter = VideoReformatter()
         self._open = contextlib.ExitStack()
         try:
-            rate, channels, self._blocks = self._open_sound(sound)
+            rate, channels, self._blocks = self._open_sound(sound, origin)
             options = {"movflags": "+faststart"}
             self._container = av.open(str(path), mode="w", format="mp4", options=options)
             self._open.callback(self._container.close)
@@ -103,7 +113,7 @@ class VideoWriter:
         self._samples = 0
 
     def _open_sound(
-        self, sound: Path | tuple[np.ndarray, int] | None
+        self, sound: Path | tuple[np.ndarray, int] | None, origin: float | None
     ) -> tuple[int, int, Iterator[np.ndarray]]:
         """Rate that AAC can carry, channels, and the blocks `(channels, n)` at that rate."""
         if sound is None:
@@ -117,6 +127,8 @@ class VideoWriter:
         else:
             recording = self._open.enter_context(open_recording(Path(sound)))
             rate, channels, blocks = recording.rate, recording.channels, recording.blocks()
+            lead = 0 if origin is None else round((recording.start - origin) * rate)
+            blocks = _led(blocks, lead, channels)
         target = min((r for r in _AAC_RATES if r >= rate), default=_AAC_RATES[-1])
         return target, channels, blocks if target == rate else _resampled(blocks, rate, target)
 
@@ -153,9 +165,25 @@ class VideoWriter:
 
     def _write_sound(self) -> bool:
         """Encode the next block; False when the recording is over."""
-        block = next((block for block in self._blocks if block.shape[1]), None)
+        block = self._next_block()
         if block is None or self._audio is None:
             return False
+        self._encode_sound(block)
+        return True
+
+    def _next_block(self) -> np.ndarray | None:
+        """Samples that come next; where the sound has to fit, no more than the picture lasts."""
+        block, self._rest = self._rest, None
+        if block is None:
+            block = next((block for block in self._blocks if block.shape[1]), None)
+        if block is not None and self._fit and self._audio is not None:
+            room = -(-self._count * self._audio.rate // self._fps) - self._samples
+            if block.shape[1] > room:
+                block, self._rest = block[:, :room], block[:, room:]
+        return block
+
+    def _encode_sound(self, block: np.ndarray) -> None:
+        assert self._audio is not None
         sound = np.ascontiguousarray(np.clip(np.nan_to_num(block), -1.0, 1.0), np.float32)
         layout = "mono" if len(sound) == 1 else "stereo"
         frame = AudioFrame.from_ndarray(sound, "fltp", layout)
@@ -164,13 +192,25 @@ class VideoWriter:
         frame.time_base = Fraction(1, self._audio.rate)
         self._samples += sound.shape[1]
         self._container.mux(self._audio.encode(frame))
-        return True
+
+    def _end_sound(self) -> None:
+        """Write what is left of the sound; where it has to fit, silence up to the picture's end."""
+        if not self._fit:
+            while self._write_sound():
+                pass
+        elif self._audio is not None:
+            left = itertools.islice((b for b in self._blocks if b.shape[1]), 1)
+            self.cut = self._rest is not None or any(True for _ in left)
+            missing = -(-self._count * self._audio.rate // self._fps) - self._samples
+            channels = len(self._audio.layout.channels)
+            for first in range(0, missing, _BLOCK):
+                silence = np.zeros((channels, min(_BLOCK, missing - first)), np.float32)
+                self._encode_sound(silence)
 
     def close(self) -> None:
         """Write what is left of the sound and finish the file."""
         with self._open:
-            while self._write_sound():
-                pass
+            self._end_sound()
             self._container.mux(self._video.encode(None))
             if self._audio is not None:
                 self._container.mux(self._audio.encode(None))
@@ -192,6 +232,16 @@ class VideoWriter:
         # The error under way is the one to tell, not a second one from the unfinished file.
         with contextlib.suppress(av.error.FFmpegError):
             self._open.close()
+
+
+def _led(blocks: Iterator[np.ndarray], lead: int, channels: int) -> Iterator[np.ndarray]:
+    """The same sound after `lead` samples of silence, or without its first `-lead` samples."""
+    if lead > 0:
+        yield from _split(np.zeros((channels, lead), np.float32))
+    skip = max(-lead, 0)
+    for block in blocks:
+        yield block[:, skip:]
+        skip -= min(skip, block.shape[1])
 
 
 def _split(samples: np.ndarray) -> Iterator[np.ndarray]:

@@ -1,11 +1,17 @@
 """Whose motion goes onto whom: standard, relative, and by disentanglement (MRAA, section 3.4)."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from torch import Tensor
 
-from mraa.affine import inverse
-from mraa.regions import Regions
+from mraa.affine import inverse, renderable, renderable_affine, track_axes
+from mraa.avd import AvdNetwork
+from mraa.regions import Regions, regions_from_motion
+
+MODES = ("standard", "relative", "avd")
+"""Ways to put a driving video's motion onto a photo."""
 
 
 def hull_scale(source: Tensor, driving: Tensor) -> float:
@@ -34,3 +40,65 @@ def relative_regions(source: Regions, driving: Regions, initial: Regions) -> Reg
     shift = source.shift + scale * (driving.shift - initial.shift)
     affine = driving.affine @ inverse(initial.affine) @ source.affine
     return Regions(shift, affine @ affine.mT, affine)
+
+
+def clamped(regions: Regions, affine_mode: str) -> Regions:
+    """Estimated regions with covariances clamped to what can be rendered."""
+    return regions_from_motion(regions.shift, renderable(regions.covariance), affine_mode)
+
+
+class Transfer:
+    """A driving video's motion, frame by frame in order, onto a source.
+
+    - "standard": the driving regions as they are, for a driver who looks like the source;
+    - "relative": what has changed since the first driving frame, `relative_regions`;
+    - "avd": the source's body in the driver's pose, by the disentanglement network.
+
+    Args:
+        mode: one of `MODES`.
+        source: regions (1, K) of the photo as estimated.
+        affine_mode: of the renderer.
+        avd: the network in evaluation mode, for the mode "avd" alone.
+        tracked: follow the axes of regions from frame to frame (`mraa.affine.track_axes`); the
+            flow predictor must not revert axes then.
+    """
+
+    def __init__(
+        self,
+        mode: str,
+        source: Regions,
+        affine_mode: str,
+        avd: AvdNetwork | None = None,
+        *,
+        tracked: bool = False,
+    ) -> None:
+        if mode not in MODES or (mode == "avd") != (avd is not None):
+            raise ValueError(f"mode is one of {', '.join(MODES)}, with the network for avd alone")
+        self.mode, self.affine_mode, self.avd, self.tracked = mode, affine_mode, avd, tracked
+        self.estimated = source
+        self.source = clamped(source, affine_mode)
+        self._initial: Regions | None = None
+        self._before = self.source.affine[0]
+
+    def __call__(self, driving: Regions) -> Regions:
+        """Regions (B, K) to render for the next B driving frames, as estimated."""
+        if self.avd is not None:
+            moved = self.avd(self.estimated.repeat(len(driving.shift)), driving)
+            moved = self._followed(moved)
+        elif self.mode == "relative":
+            driving = clamped(driving, self.affine_mode)
+            if self._initial is None:
+                self._initial = driving[:1]
+                self._before = self._initial.affine[0]
+            moved = relative_regions(self.source, self._followed(driving), self._initial)
+        else:
+            moved = self._followed(clamped(driving, self.affine_mode))
+        affine = renderable_affine(moved.affine)
+        return Regions(moved.shift, affine @ affine.mT, affine)
+
+    def _followed(self, regions: Regions) -> Regions:
+        if not self.tracked:
+            return regions
+        affine = track_axes(regions.affine, self._before)
+        self._before = affine[-1]
+        return replace(regions, affine=affine)

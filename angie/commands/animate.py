@@ -1,7 +1,7 @@
 """Commands that make videos: animate, demo."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -22,8 +22,10 @@ from data_prep.progress import console
 
 def animate(
     photo: Annotated[Path, typer.Argument(help="Any photo of a person.")],
-    audio: Annotated[Path, typer.Argument(help="Any recording, or a video with sound.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The mp4 to write.")],
+    audio: Annotated[
+        Path | None, typer.Argument(help="Any recording, or a video with sound.")
+    ] = None,
     speaker: Annotated[
         Path | None, typer.Option(help="Speaker bundle; without it the shipped one.")
     ] = None,
@@ -44,44 +46,89 @@ def animate(
     precision: Precision = "auto",
     size: Size = None,
     full_frame: FullFrame = False,
+    drive: Annotated[
+        Path | None,
+        typer.Option(help="Take the motion from this video, and without AUDIO its sound."),
+    ] = None,
+    mode: Annotated[
+        str | None,
+        typer.Option(
+            help="With --drive: standard, relative or avd (the default where the bundle has it)."
+        ),
+    ] = None,
+    drive_crop: Annotated[
+        str | None, typer.Option(help="Square of the driving video: x,y,size in pixels.")
+    ] = None,
+    drive_person: Annotated[
+        str | None, typer.Option(help="Of several people in it: left, right or largest.")
+    ] = None,
+    track_axes: Annotated[
+        bool, typer.Option("--track-axes", help="Follow the axes of regions; not in MRAA.")
+    ] = False,
     force: Force = False,
 ) -> None:
-    """Make the person of a photo gesture to a recording."""
+    """Make the person of a photo gesture to a recording, or as in a driving video."""
     from data_prep.output import check_output
 
     check_output(output, force=force)
     want_file(photo, "photo")
-    want_file(audio, "recording")
+    if audio is not None:
+        want_file(audio, "recording")
     if scale_motion not in ("none", "hull"):
         raise BadInput(f"--scale-motion {scale_motion}: there are none and hull")
     square = None if crop is None else square_of(crop)
-    from angie.animate import animate as make
+    from angie.animate import animate as from_sound
     from angie.bundle import Bundle
     from angie.demo import BUNDLE
+    from angie.drive import drive as from_video
 
-    result = make(
-        photo,
-        audio,
-        output,
-        Bundle.open(speaker or BUNDLE),
-        seed=seed,
-        device=device_of(device),
-        crop=square,
-        person=person,
-        scale_motion=scale_motion,
-        greedy=greedy,
-        precision=precision,
-        size=size,
-        full_frame=full_frame,
-        force=force,
-    )
+    bundle = Bundle.open(speaker or BUNDLE)
+    look: dict[str, Any] = {
+        "device": device_of(device),
+        "crop": square,
+        "person": person,
+        "precision": precision,
+        "size": size,
+        "full_frame": full_frame,
+        "track_axes": track_axes,
+        "force": force,
+    }
+    if drive is not None:
+        want_file(drive, "driving video")
+        if greedy or scale_motion != "none":
+            raise BadInput("--greedy and --scale-motion are for gestures to sound, not for --drive")
+        corner = None if drive_crop is None else square_of(drive_crop, "--drive-crop")
+        result = from_video(
+            photo,
+            drive,
+            output,
+            bundle,
+            mode=mode,
+            sound_path=audio,
+            drive_crop=corner,
+            drive_person=drive_person,
+            **look,
+        )
+    elif audio is None:
+        raise BadInput("give a recording to gesture to, or a video to follow with --drive VIDEO")
+    elif mode or drive_crop or drive_person:
+        raise BadInput("--mode, --drive-crop and --drive-person go with --drive VIDEO")
+    else:
+        result = from_sound(
+            photo,
+            audio,
+            output,
+            bundle,
+            seed=seed,
+            scale_motion=scale_motion,
+            greedy=greedy,
+            **look,
+        )
     if result.note:
         console.print(f"angie: {result.note}", highlight=False, markup=False, soft_wrap=True)
     width, height = result.width_height
-    print(
-        f"{result.path}: {result.frames} frames of {width}x{height}, "
-        f"{result.seconds:.2f} s of sound"
-    )
+    sound = f"{result.seconds:.2f} s of sound" if result.seconds else "no sound"
+    print(f"{result.path}: {result.frames} frames of {width}x{height}, {sound}")
 
 
 def demo(
@@ -96,4 +143,4 @@ def demo(
     """Animate the photo and the recording that ship."""
     from angie.demo import PHOTO, SPEECH
 
-    animate(PHOTO, SPEECH, output, seed=seed, device=device, precision=precision, force=force)
+    animate(PHOTO, output, SPEECH, seed=seed, device=device, precision=precision, force=force)

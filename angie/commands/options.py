@@ -42,8 +42,8 @@ def want_file(path: Path, what: str) -> None:
         raise BadInput(f"{path}: is a folder; give the {what}")
 
 
-def square_of(text: str) -> "Crop":
-    """The square that `--crop` names: x,y,size or x,y,w,h with equal sides.
+def square_of(text: str, option: str = "--crop") -> "Crop":
+    """The square that `--crop` (or another option) names: x,y,size or x,y,w,h with equal sides.
 
     Raises:
         BadInput: anything else.
@@ -53,11 +53,11 @@ def square_of(text: str) -> "Crop":
     try:
         x, y, size, *height = (int(part) for part in text.split(","))
     except ValueError:
-        raise BadInput(f"--crop {text}: give x,y,size in whole pixels") from None
+        raise BadInput(f"{option} {text}: give x,y,size in whole pixels") from None
     if len(height) > 1 or size < 1:
-        raise BadInput(f"--crop {text}: give x,y,size in whole pixels, the size above 0")
+        raise BadInput(f"{option} {text}: give x,y,size in whole pixels, the size above 0")
     if height not in ([], [size]):
-        raise BadInput(f"--crop {text}: is no square; width and height must be equal")
+        raise BadInput(f"{option} {text}: is no square; width and height must be equal")
     return Crop(x, y, size)
 
 

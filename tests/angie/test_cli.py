@@ -159,6 +159,30 @@ def test_force_replaces_only_folders_of_its_own(phantom_videos, tmp_path, capsys
     assert list(phantom_videos.rglob("*.mp4"))
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ([], "--drive VIDEO"),
+        (["--drive", "missing.mp4"], "give the driving video"),
+        (["--drive", "speech.wav"], "no moving picture"),
+        (["--drive", "silent.mp4"], "no face found"),
+        (["--drive", "silent.mp4", "--mode", "fast"], "--mode fast"),
+        (["--drive", "silent.mp4", "--mode", "avd"], "--stage avd"),
+        (["--drive", "silent.mp4", "--drive-crop", "1,2"], "--drive-crop 1,2"),
+        (["--drive", "silent.mp4", "--greedy"], "not for --drive"),
+        (["speech.wav", "--mode", "relative"], "go with --drive"),
+        (["speech.wav", "--track-axes"], "have no axes"),
+    ],
+)
+def test_bad_driving_options_are_one_line(inputs, tmp_path, capsys, options, words):
+    options = [inputs / o if o.endswith((".mp4", ".wav")) else o for o in options]
+    status, out, err = call(
+        capsys, "animate", inputs / "photo.png", *options, "-o", tmp_path / "out.mp4"
+    )
+    assert status == 2 and out == "" and words in err and err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_usage_errors_exit_with_2(capsys):
     status, _, err = call(capsys, "animate")
     assert status == 2 and "missing argument" in err.lower() and "photo" in err.lower()

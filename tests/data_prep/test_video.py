@@ -397,3 +397,41 @@ def test_a_recording_is_not_held_whole(tmp_path: Path) -> None:
     write_wav(tmp_path / "a.wav", noise(2, 16000))
     with open_recording(tmp_path / "a.wav") as recording:
         assert max(block.shape[1] for block in recording.blocks()) < 16000
+
+
+def tone_after(seconds: float, rate: int = 16000) -> np.ndarray:
+    """Two seconds of silence but for a burst of noise at a time."""
+    samples = np.zeros(2 * rate, np.float32)
+    first = round(seconds * rate)
+    samples[first : first + rate // 10] = noise(0.1, rate)
+    return samples
+
+
+def burst(path: Path) -> float:
+    """Seconds at which the loudest part begins."""
+    heard = np.abs(read_sound(path))
+    return float(np.argmax(heard > 0.3 * heard.max()) / 16000)
+
+
+@pytest.mark.parametrize(("length", "cut"), [(30, True), (50, False), (60, False)])
+def test_sound_may_fit_the_picture(tmp_path: Path, length: int, cut: bool) -> None:
+    write_wav(tmp_path / "a.wav", tone_after(0.5))
+    with VideoWriter(tmp_path / "a.mp4", (64, 64), sound=tmp_path / "a.wav", fit=True) as writer:
+        for _ in range(length):
+            writer.write(GREY)
+    assert writer.cut == cut
+    with av.open(str(tmp_path / "a.mp4")) as container:
+        audio = container.streams.audio[0]
+        assert audio.duration * audio.time_base == Fraction(length, 25)
+    assert burst(tmp_path / "a.mp4") == pytest.approx(0.5, abs=0.03)
+
+
+@pytest.mark.parametrize("origin", [-0.4, 0.3])
+def test_sound_may_begin_elsewhere(tmp_path: Path, origin: float) -> None:
+    write_wav(tmp_path / "a.wav", tone_after(0.8))
+    with VideoWriter(
+        tmp_path / "a.mp4", (64, 64), sound=tmp_path / "a.wav", origin=origin, fit=True
+    ) as writer:
+        for _ in range(40):
+            writer.write(GREY)
+    assert burst(tmp_path / "a.mp4") == pytest.approx(0.8 - origin, abs=0.03)
