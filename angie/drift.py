@@ -8,7 +8,6 @@ import math
 
 import numpy as np
 import torch
-from scipy.signal import lfilter
 from torch import Tensor
 
 from data_prep.rates import FPS
@@ -48,10 +47,12 @@ def integrate_leaky(delta: Tensor, start: Tensor, rest: Tensor, tau: float = TAU
         (..., T, C) float32 absolute motion on the device of `delta`; exact `start` at frame 1.
     """
     rho = math.exp(-1 / (FPS * tau))
-    steps = delta.detach().cpu().double()
+    steps = delta.detach().cpu().double().clone()
     steps[..., 0, :] = (start - rest).cpu().double()
-    displacement = lfilter([1.0], [1.0, -rho], steps.numpy(), axis=-2)
-    motion = torch.from_numpy(np.asarray(displacement)) + rest.cpu().double().unsqueeze(-2)
+    rows = np.moveaxis(steps.numpy(), -2, 0)  # one frame after the other, in place
+    for before, row in zip(rows[:-1], rows[1:], strict=True):
+        row += rho * before
+    motion = steps + rest.cpu().double().unsqueeze(-2)
     motion = motion.float().to(delta.device)
     motion[..., 0, :] = start
     return motion

@@ -42,6 +42,7 @@ class Convolution:
         relu: bool = True,
         line: Line | None = None,
     ) -> None:
+        self.taps = kernel.weight.shape[2] * kernel.weight.shape[3]
         layout = torch.channels_last
         self.weight = kernel.weight.to(dtype, memory_format=layout)
         self.bias = kernel.bias.to(dtype)

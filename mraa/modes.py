@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 from torch import Tensor
 
 from mraa.affine import inverse, renderable, renderable_affine, track_axes
@@ -19,6 +18,8 @@ def hull_scale(source: Tensor, driving: Tensor) -> float:
 
     Returns 1 where a set is too degenerate to span an area.
     """
+    from scipy.spatial import ConvexHull, QhullError  # slow to import, seldom wanted
+
     try:
         areas = [ConvexHull(x.detach().cpu().numpy()).volume for x in (source, driving)]
     except (QhullError, ValueError):

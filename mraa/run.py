@@ -11,19 +11,19 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from lightning_fabric import Fabric
-from lightning_fabric.strategies import DDPStrategy
-from lightning_fabric.utilities.exceptions import MisconfigurationException
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset, Sampler
 
 from data_prep.errors import BadInput
 from data_prep.progress import console, progress
 from mraa.checkpoint import Scaler, checkpoint_identity, load_checkpoint, save_checkpoint
+
+if TYPE_CHECKING:
+    from lightning_fabric import Fabric
 
 _STRIDE = 1_000_003  # keeps the seeds of neighbouring steps and runs apart
 
@@ -58,7 +58,7 @@ def native_precision(device: str = "auto") -> str:
     return "bf16-mixed" if native else "32-true"
 
 
-def launch(config: RunConfig, *, resting: bool = False) -> Fabric:
+def launch(config: RunConfig, *, resting: bool = False) -> "Fabric":
     """Start (or join) the processes that a configuration asks for.
 
     Args:
@@ -68,6 +68,11 @@ def launch(config: RunConfig, *, resting: bool = False) -> Fabric:
     Raises:
         BadInput: a device or precision that this machine does not have.
     """
+    # takes two seconds, and whoever wants a number of `RunConfig` imports this module
+    from lightning_fabric import Fabric
+    from lightning_fabric.strategies import DDPStrategy
+    from lightning_fabric.utilities.exceptions import MisconfigurationException
+
     logging.getLogger("lightning_fabric").setLevel(logging.WARNING)  # no line for each launch
     world = max(config.devices, int(os.environ.get("WORLD_SIZE", "1")))
     try:

@@ -31,7 +31,8 @@ def native_bf16(device: torch.device) -> bool:
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
     if device.type == "cpu":
-        return torch.cpu.get_capabilities().get("avx512_bf16", False)
+        names = ("_is_avx512_bf16_supported", "_is_amx_tile_supported")  # torch 2.6 and newer
+        return any(getattr(torch.cpu, name, bool)() for name in names)
     return False
 
 

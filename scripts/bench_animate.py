@@ -1,0 +1,128 @@
+"""What `angie animate` as a whole takes: time, memory, and the encoder's part of it.
+
+    python scripts/bench_animate.py [--speaker BUNDLE] [--seconds 10 60 600]
+
+Speech is the built-in voice's. Each length is animated by a process of its own, after one that
+fills the caches; then frames are drawn alone, and drawn and encoded, in turn. Prints tables.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+import numpy as np
+import torch
+
+from angie.animate import render, source_pose
+from angie.bundle import Bundle
+from angie.demo import BUNDLE, PHOTO
+from angie.motion import Motion
+from data_prep.phantom.make import recording
+from data_prep.photo import read_photo
+from data_prep.rates import FPS, IMAGE_SIZE
+from data_prep.sound import write_wav
+from data_prep.speaker import cut_out, find_faces, speaker_crop
+from data_prep.video_writer import VideoWriter
+from data_prep.write_thread import WriteThread
+from mraa.allocator import keep_memory
+from mraa.renderer import from_pixels
+
+FRAMES = 150
+"""Frames drawn for the encoder's part."""
+
+ROUNDS = 3
+
+
+def speech(path: Path, seconds: float) -> None:
+    """Write a recording of exactly that many seconds."""
+    talk = recording(0, seconds=seconds + 10, seed=1)
+    samples = np.resize(talk.samples, round(seconds * talk.rate))
+    write_wav(path, samples, talk.rate)
+
+
+def command(sound: Path, output: Path, bundle: Path) -> tuple[float, float, float]:
+    """Wall seconds, processor seconds and peak MB of one `angie animate`."""
+    line = [sys.executable, "-m", "angie", "animate", str(PHOTO), str(sound), "-o", str(output)]
+    begun = time.perf_counter()
+    child = subprocess.Popen([*line, "--speaker", str(bundle), "--force"], stdout=subprocess.PIPE)
+    _, status, used = os.wait4(child.pid, 0)
+    if status:
+        raise SystemExit(f"angie animate failed with {status}")
+    wall = time.perf_counter() - begun
+    return wall, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+
+
+def lengths(folder: Path, bundle: Path, seconds: list[float]) -> None:
+    """Animate recordings of several lengths."""
+    sound, output = folder / "speech.wav", folder / "out.mp4"
+    speech(sound, 1)
+    loading = min(command(sound, output, bundle)[0] for _ in range(3))
+    print(f"One second of sound takes {loading:.2f} s, loading included.\n")
+    print("| sound, s | whole command, s | video s / s | processor, s | peak memory, MB | ratio |")
+    print("|---|---|---|---|---|---|")
+    first = 0.0
+    for length in seconds:
+        speech(sound, length)
+        wall, worked, peak = command(sound, output, bundle)
+        first = first or peak
+        print(
+            f"| {length:g} | {wall:.1f} | {length / wall:.2f} | {worked:.1f} "
+            f"| {peak:.0f} | {peak / first:.3f} |",
+            flush=True,
+        )
+
+
+def drawing(bundle: Bundle, folder: Path) -> None:
+    """Draw frames alone and with the encoder beside; encode alone."""
+    renderer = bundle.renderer()
+    photo = read_photo(PHOTO)
+    crop = speaker_crop(find_faces(photo)[0], *photo.shape[:2])
+    picture = from_pixels(torch.from_numpy(cut_out(photo, crop))[None])
+    pose = source_pose(renderer, picture)
+    sway = 0.05 * torch.sin(torch.arange(FRAMES) / 8)[:, None, None]
+    motion = Motion(pose.shift + sway, pose.cholesky.expand(FRAMES, -1, -1))
+    size = (IMAGE_SIZE, IMAGE_SIZE)
+    alone, beside, encoding = [], [], []
+    for _ in range(ROUNDS + 1):
+        begun = time.perf_counter()
+        frames = np.concatenate(list(render(renderer, picture, pose, motion)))
+        alone.append(time.perf_counter() - begun)
+        begun = time.perf_counter()
+        video = VideoWriter(folder / "beside.mp4", size, FPS, threads=1)
+        with video, WriteThread(video) as encoder:
+            for batch in render(renderer, picture, pose, motion):
+                encoder.write(batch)
+        beside.append(time.perf_counter() - begun)
+        worked = time.process_time()
+        with VideoWriter(folder / "alone.mp4", size, FPS, threads=1) as video:
+            for frame in frames:
+                video.write(frame)
+        encoding.append(time.process_time() - worked)
+    drawn, both, coded = (1000 * min(t[1:]) / FRAMES for t in (alone, beside, encoding))
+    print("\n| ms a frame | |\n|---|---|")
+    print(f"| drawing alone | {drawn:.1f} ({1000 / drawn:.1f} fps) |")
+    print(f"| drawing, conversion and encoding side by side | {both:.1f} ({1000 / both:.1f} fps) |")
+    print(f"| conversion and encoding, processor time | {coded:.2f} |")
+    print(f"| slower by, in parts of that time | {(both - drawn) / coded:.2f} |")
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--speaker", type=Path, default=BUNDLE)
+    parser.add_argument("--seconds", type=float, nargs="*", default=[10.0, 60.0, 600.0])
+    arguments = parser.parse_args()
+    keep_memory()
+    with tempfile.TemporaryDirectory() as name:
+        lengths(Path(name), arguments.speaker, arguments.seconds)
+        drawing(Bundle.open(arguments.speaker), Path(name))
+
+
+if __name__ == "__main__":
+    main()
