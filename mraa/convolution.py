@@ -25,7 +25,7 @@ class Convolution:
         kernel: weights in float32.
         shape: (B, I, H, W) of the input, for which the weights are packed.
         dtype: float32 or bfloat16, of input and output.
-        padding: on all four sides.
+        padding: on all four sides, or above and below, left and right.
         stride: in both directions.
         relu: whether negative results become 0.
         line: scale and shift (I,) of a line before a ReLU before the convolution.
@@ -37,7 +37,7 @@ class Convolution:
         shape: tuple[int, int, int, int],
         *,
         dtype: torch.dtype = torch.float32,
-        padding: int = 0,
+        padding: int | tuple[int, int] = 0,
         stride: int = 1,
         relu: bool = True,
         line: Line | None = None,
@@ -46,7 +46,8 @@ class Convolution:
         layout = torch.channels_last
         self.weight = kernel.weight.to(dtype, memory_format=layout)
         self.bias = kernel.bias.to(dtype)
-        self.padding, self.stride, self.relu = [padding] * 2, [stride] * 2, relu
+        self.padding = [padding] * 2 if isinstance(padding, int) else list(padding)
+        self.stride, self.relu = [stride] * 2, relu
         self.line = None
         if line is not None:
             self.line = tuple(v.to(dtype)[:, None, None] for v in line)

@@ -18,7 +18,7 @@ from mraa.affine import inverse
 from mraa.blocks import Hourglass, ResBlock
 from mraa.convolution import Convolution, same_convolution
 from mraa.flow import FlowPredictor, region_maps
-from mraa.folding import blocks, doubling, fold, norm_line, stacked
+from mraa.folding import blocks, columns, doubling, fold, norm_line, stacked
 from mraa.generator import DeepGenerator, ImageGenerator, LiteGenerator
 from mraa.parts import Parts
 from mraa.regions import Regions
@@ -120,7 +120,10 @@ class FoldedFlow:
         features = predictor.hourglass.channels_out
         kernel = stacked(fold(predictor.mask), fold(predictor.occlusion))
         at = (count, features, height, width)
-        self.logits = same_convolution(kernel, at, dtype=dtype, relu=False)
+        size = kernel.weight.shape[-1]
+        self.logits = Convolution(
+            columns(kernel), at, dtype=dtype, padding=(size // 2, 0), relu=False
+        )
 
     def __call__(self, driving: Regions, background: Tensor) -> Field:
         """Flow and occlusion of regions (B, K) and background homographies (B, 3, 3)."""

@@ -81,3 +81,20 @@ def blocks(kernel: Kernel) -> Kernel:
     for phase, (i, j) in enumerate(PHASES):
         weight[:, phase, :, i : i + size, j : j + size] = kernel.weight
     return Kernel(weight.flatten(0, 1), kernel.bias.repeat_interleave(4))
+
+
+def columns(kernel: Kernel) -> Kernel:
+    """A kernel for few channels as one of its columns side by side, which fill vectors better.
+
+    Args:
+        kernel: (O, I, k, k), k odd, padding k // 2.
+
+    Returns:
+        (k O, I, k, 1), for a padding of (k // 2, 0): output c of pixel (y, x) is the sum over j of
+        channel j O + c of pixel (y, x + j - k // 2). The middle column has the bias.
+    """
+    outputs, _, size = kernel.weight.shape[:3]
+    bias = torch.zeros(size, outputs)
+    bias[size // 2] = kernel.bias
+    weight = kernel.weight.permute(3, 0, 1, 2).flatten(0, 1)[..., None]
+    return Kernel(weight.contiguous(), bias.flatten())

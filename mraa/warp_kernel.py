@@ -127,7 +127,8 @@ def _taps(x: float, size: int) -> tuple[int, int, float, float]:
     first, last = np.int64(low), np.int64(low) + 1
     weight0 = np.float32(1.0) - part if 0 <= first < size else np.float32(0.0)
     weight1 = part if 0 <= last < size else np.float32(0.0)
-    return min(max(first, 0), size - 1), min(max(last, 0), size - 1), weight0, weight1
+    inside0, inside1 = min(max(first, 0), size - 1), min(max(last, 0), size - 1)
+    return np.uintp(inside0), np.uintp(inside1), weight0, weight1  # unsigned: never from the end
 
 
 @_compiled
@@ -140,7 +141,7 @@ def _between(i: int, size: int, small: int, corners: bool) -> tuple[int, int, fl
         step = np.float32(small) / np.float32(size)
         x = max((np.float32(i) + np.float32(0.5)) * step - np.float32(0.5), np.float32(0.0))
     low = min(np.int64(x), small - 1)
-    return low, min(low + 1, small - 1), x - np.float32(low)
+    return np.uintp(low), np.uintp(min(low + 1, small - 1)), x - np.float32(low)
 
 
 @_compiled
@@ -263,35 +264,43 @@ def flow_result(
     """Flow and occlusion from the flow predictor's logits: softmax, blend of the motions, sigmoid.
 
     Args:
-        logits: (b, h, w, K + 2), of the masks (background first) and of the occlusion.
+        logits: (b, h, w, n (K + 2)), of the masks (background first) and of the occlusion, in n
+            parts: pixel x is the sum over j of part j of pixel x + j - n // 2.
         maps: as in `flow_input`.
         background: as in `flow_input`.
         flow: (b, h, w, 2) float32, written.
         occlusion: (b, h, w) float32, written.
     """
-    count, height, width, channels = logits.shape
-    weight = np.empty(channels - 1, np.float32)
+    count, height, width = logits.shape[:3]
+    channels = maps.shape[1] + 2
+    parts = logits.shape[3] // channels
+    value = np.empty(channels, np.float32)
+    one = np.float32(1.0)
     for n in range(count):
         for j in range(height):
-            y = np.float32(2 * j) / np.float32(height - 1) - np.float32(1.0)
+            y = np.float32(2 * j) / np.float32(height - 1) - one
             for i in range(width):
-                x = np.float32(2 * i) / np.float32(width - 1) - np.float32(1.0)
-                highest = _load(logits[n, j, i, 0])
+                x = np.float32(2 * i) / np.float32(width - 1) - one
+                value[:] = 0.0
+                for part in range(parts):
+                    at = i + part - parts // 2
+                    if 0 <= at < width:
+                        for k in range(channels):
+                            value[k] += _load(logits[n, j, at, part * channels + k])
+                highest = value[0]
                 for k in range(1, channels - 1):
-                    highest = max(highest, _load(logits[n, j, i, k]))
+                    highest = max(highest, value[k])
                 for k in range(channels - 1):
-                    weight[k] = _exp(_load(logits[n, j, i, k]) - highest)
+                    value[k] = _exp(value[k] - highest)
                 far, low = _far(background, n, x, y)
-                across, down, total = weight[0] * far, weight[0] * low, weight[0]
+                across, down, total = value[0] * far, value[0] * low, value[0]
                 for k in range(channels - 2):
-                    part = weight[k + 1]
-                    across += part * (maps[n, k, 0] * x + maps[n, k, 1] * y + maps[n, k, 2])
-                    down += part * (maps[n, k, 3] * x + maps[n, k, 4] * y + maps[n, k, 5])
-                    total += part
+                    share = value[k + 1]
+                    across += share * (maps[n, k, 0] * x + maps[n, k, 1] * y + maps[n, k, 2])
+                    down += share * (maps[n, k, 3] * x + maps[n, k, 4] * y + maps[n, k, 5])
+                    total += share
                 flow[n, j, i, 0], flow[n, j, i, 1] = across / total, down / total
-                one = np.float32(1.0)
-                shown = one / (one + _exp(-_load(logits[n, j, i, channels - 1])))
-                occlusion[n, j, i] = shown
+                occlusion[n, j, i] = one / (one + _exp(-value[channels - 1]))
 
 
 @_compiled
@@ -398,23 +407,39 @@ def picture(
     """
     height, width = photo.shape[:2]
     one = np.float32(1.0)
+    line = np.empty(width, np.float32)
+    made = np.empty((3, width), np.float32)
+    place = np.empty((3, width), np.float32)  # pixel x and y, occlusion
     for n in range(len(out)):
         for j in range(height):
-            rows = _between(j, height, flow.shape[1], corners)
-            for i in range(width):
-                x, y, shown = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-                if warped:
+            for e in range(3):
+                first = 4 * e + 2 * (j % 2)
+                for i in range(width // 2):
+                    line[2 * i] = _load(logits[n, j // 2, i, first])
+                    line[2 * i + 1] = _load(logits[n, j // 2, i, first + 1])
+                for i in range(width):
+                    made[e, i] = one / (one + _exp(-line[i]))
+            if painted.size:
+                painted[n, :, j] = made
+            place[2] = 0.0
+            if warped:
+                rows = _between(j, height, flow.shape[1], corners)
+                for i in range(width):
                     columns = _between(i, width, flow.shape[2], corners)
-                    x, y, shown = _flow_at(flow, occlusion, n, rows, columns)
-                x0, x1, u0, u1 = _taps(_pixel(x, width, corners), width)
-                y0, y1, v0, v1 = _taps(_pixel(y, height, corners), height)
+                    place[0, i], place[1, i], place[2, i] = _flow_at(
+                        flow, occlusion, n, rows, columns
+                    )
+                for i in range(width):
+                    place[0, i] = _pixel(place[0, i], width, corners)
+                    place[1, i] = _pixel(place[1, i], height, corners)
+            for i in range(width):
+                x0, x1, u0, u1 = _taps(place[0, i], width)
+                y0, y1, v0, v1 = _taps(place[1, i], height)
+                shown = place[2, i]
                 a, b, c, d = v0 * u0, v0 * u1, v1 * u0, v1 * u1
                 for e in range(3):
-                    logit = _load(logits[n, j // 2, i // 2, 4 * e + 2 * (j % 2) + i % 2])
-                    made = one / (one + _exp(-logit))
-                    if painted.size:
-                        painted[n, e, j, i] = made
                     seen = a * photo[y0, x0, e] + b * photo[y0, x1, e]
                     seen += c * photo[y1, x0, e] + d * photo[y1, x1, e]
-                    value = min(max(seen * shown + made * (one - shown), np.float32(0.0)), one)
+                    value = seen * shown + made[e, i] * (one - shown)
+                    value = min(max(value, np.float32(0.0)), one)
                     out[n, j, i, e] = np.uint8(value * np.float32(255.0) + np.float32(0.5))

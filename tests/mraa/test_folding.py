@@ -4,7 +4,7 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from mraa.folding import PHASES, Kernel, blocks, doubling, fold, stacked
+from mraa.folding import PHASES, Kernel, blocks, columns, doubling, fold, stacked
 
 
 def kernel(outputs, inputs, size):
@@ -52,3 +52,17 @@ def test_stacked_kernels_see_one_input():
     image = torch.randn(1, 3, 5, 5, generator=torch.Generator().manual_seed(0))
     found = F.conv2d(image, both.weight, both.bias)
     torch.testing.assert_close(found[:, 2:], F.conv2d(image, second.weight, second.bias))
+
+
+def test_columns_side_by_side():
+    one = kernel(3, 4, 7)
+    image = torch.randn(2, 4, 8, 10, generator=torch.Generator().manual_seed(0))
+    wanted = F.conv2d(image, one.weight, one.bias, padding=3)
+    apart = columns(one)
+    parts = F.conv2d(image, apart.weight, apart.bias, padding=(3, 0)).chunk(7, dim=1)
+    found = torch.zeros_like(wanted)
+    for j, part in enumerate(parts):
+        for x in range(10):
+            if 0 <= x + j - 3 < 10:
+                found[..., x] += part[..., x + j - 3]
+    torch.testing.assert_close(found, wanted)
