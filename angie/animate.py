@@ -148,11 +148,15 @@ def animate(
         method = "greedy" if greedy else "topk"
         sampling = replace(generator.config.sampling, method=method)
         generator.config = replace(generator.config, sampling=sampling)
-        frames = frames_covering(len(samples))
+        frames, seconds = frames_covering(len(samples)), len(samples) / SAMPLE_RATE
         pose = source_pose(subject.renderer, subject.picture)
-        motion = generator.generate(speech_features(samples), pose, frames, seed)
+        speech = speech_features(samples)
+        del samples  # long recordings leave their memory to the renderer
+        motion = generator.generate(speech, pose, frames, seed)
+        del speech
         if scale_motion == "hull":
             motion = scale_displacement(motion, pose, generator.statistics)
+        keep_memory()  # from here on: what came before has given its memory back
         shown = subject.shown
         video = VideoWriter(
             part,
@@ -166,7 +170,6 @@ def animate(
             subject.renderer, subject.picture, pose, motion, precision, subject.canvas, track_axes
         )
         write_video(video, batches, frames)
-    seconds = len(samples) / SAMPLE_RATE
     return Result(Path(output), frames, seconds, subject.crop, shown.width_height, shown.note)
 
 
@@ -181,7 +184,6 @@ def check_look(precision: str, device: str, size: str | None, full_frame: bool) 
         choose_precision(precision, torch.device(device))
     except ValueError as error:
         raise BadInput(f"--precision {precision}: {error}") from error
-    keep_memory()
 
 
 @dataclass(frozen=True)

@@ -225,10 +225,13 @@ def read_sound(path: Path, rate: int = SAMPLE_RATE, origin: float | None = None)
         length = round(count * rate / recording.rate)
         parts.append(converter.resample_chunk(np.zeros(0, np.float32), last=True))
     samples = np.concatenate(parts)[:length]
+    del parts  # an hour of sound is large enough not to be held twice
     if not len(samples):
         raise BadInput(f"{path}: holds no sound samples; give another recording")
-    samples = np.pad(samples, (0, length - len(samples)))
-    return np.clip(np.nan_to_num(samples), -1.0, 1.0)
+    if len(samples) < length:
+        samples = np.pad(samples, (0, length - len(samples)))
+    np.nan_to_num(samples, copy=False)
+    return np.clip(samples, -1.0, 1.0, out=samples)
 
 
 def write_wav(path: Path, samples: np.ndarray, rate: int = SAMPLE_RATE) -> None:
