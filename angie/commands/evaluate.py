@@ -51,6 +51,16 @@ def evaluate(
     truth: Annotated[
         Path | None, typer.Option(help="Folder of angie phantom, for its true joints.")
     ] = None,
+    detected: Annotated[
+        Path | None,
+        typer.Option(
+            help="With --videos: folder with NAME.npz of your re-identification network "
+            "and detector: real_, made_ embeddings and points."
+        ),
+    ] = None,
+    greedy: Annotated[
+        bool, typer.Option("--greedy", help="Always the likeliest gesture, as the papers' tables.")
+    ] = False,
     perceptual_weights: Annotated[
         Path | None, typer.Option(help="File of VGG19's weights for the perceptual distance.")
     ] = None,
@@ -78,11 +88,15 @@ def evaluate(
         fgd=fgd,
         fgd_steps=fgd_steps,
         truth=truth,
+        detected=detected,
+        greedy=greedy,
         perceptual_weights="" if perceptual_weights is None else str(perceptual_weights),
     )
     if videos is None:
         if reference is not None or bundle is not None:
             raise BadInput("--reference and --bundle go with --videos; name DATASET BUNDLE...")
+        if detected is not None:
+            raise BadInput("--detected goes with --videos")
         if not places or len(places) < 2:
             raise BadInput("give a dataset and one or more speaker bundles: DATASET BUNDLE...")
         from angie.evaluation.evaluate import evaluate as run

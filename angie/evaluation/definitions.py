@@ -82,12 +82,14 @@ IMAGES: tuple[Definition, ...] = (
     Definition("ssim", "SSIM", HIGH, "", "Structural similarity (Wang et al. 2004)."),
     Definition("psnr", "PSNR", HIGH, "dB", "Peak signal-to-noise ratio, mean over frames.", 2),
     Definition("aed", "AED", LOW, "", "Mean absolute difference of identity embeddings (FOMM, "
-               "MRAA), of a network trained on the training clips.", 4),
+               "MRAA), of a network trained on the training clips, or of your own.", 4),
     Definition("akd", "AKD regions", LOW, "px", "Mean absolute difference of the region centres "
                "that the estimator sees in the frame and in the recorded one.", 2),
     Definition("akd_joints", "AKD joints", LOW, "px", "Mean absolute difference of the phantom's "
                "true joints and those that a ridge regression reads from the regions seen in the "
-               "frame.", 2),
+               "frame; or of key points of your own detector.", 2),
+    Definition("mkr", "MKR", LOW, "", "Share of key points that a detector finds in the recorded "
+               "frame alone (FOMM, MRAA); of a detector of your own, see --detected."),
     Definition("flicker", "Flicker", LOW, "", "Mean absolute difference between the change from "
                "one frame to the next and the true change.", 4),
 )  # fmt: skip

@@ -127,7 +127,7 @@ def make_rows(
     rows = baselines(space, seeds)
     with progress("gestures", len(bundles), "bundles") as advance:
         for name, bundle in bundles.items():
-            rows.append(generated(space, bundle, name, seeds, config.start))
+            rows.append(generated(space, bundle, name, seeds, config.start, config.greedy))
             advance()
     return rows
 
@@ -155,7 +155,7 @@ def score_space(
         frame_judge, more = make_frame_judge(data, space, renderer, joints, folder, number, config)
         origin |= more
         images = _images(data, space, bundles, frame_judge, joints, config)
-        videos = _videos(data, space, rows, renderer, folder, config)
+        videos = _videos(data, space, rows, renderer, folder / f"videos-{number}", config)
     told = {name: told_of(bundle, data) for name, bundle in bundles.items()}
     return report.numbers_of_space(space, judge, rows, numbers, shown, bins, origin, told) | {
         "images": images,
@@ -224,9 +224,9 @@ def _videos(
 ) -> list[str]:
     if not config.videos_shown:
         return []
-    place = folder / "videos"
-    place.mkdir(exist_ok=True)
-    return write_videos(place, data, space.test, rows, renderer, config.videos_shown)
+    folder.mkdir()
+    names = write_videos(folder, data, space.test, rows, renderer, config.videos_shown)
+    return [f"{folder.name}/{name}" for name in names]
 
 
 def numbers_of(

@@ -1,7 +1,7 @@
 """Videos of any system against a dataset: regions by the bundle's estimator, sound of their own."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ from angie.evaluation.scoring import make_judge
 from angie.evaluation.space import RegionSpace, onsets_within, open_space
 from angie.evaluation.videos import padded, write_video
 from angie.extraction import measure_motion
+from angie.metrics.images import read_pair
 from data_prep.dataset import Clip, Dataset
 from data_prep.errors import BadInput
 from data_prep.features import onset_times
@@ -154,6 +155,8 @@ def evaluate_videos(
     paths = videos_in(Path(folder))
     if not paths:
         raise BadInput(f"{folder}: holds no videos")
+    if config.detected is not None and not config.detected.is_dir():
+        raise BadInput(f"{config.detected}: is no folder; give one with NAME.npz for each video")
     joints = {} if config.truth is None else true_joints(data, config.truth)
     with whole_folder(output, mark=report.MARK, force=force) as part:
         scratch = part / "motion-0"
@@ -215,8 +218,10 @@ def _images(
     config: EvaluationConfig,
 ) -> dict[str, Any]:
     """Image scores of the videos that are named like a clip."""
-    gathered = FrameScores()
-    stored = _stored(data)
+    gathered, stored = FrameScores(), _stored(data)
+    if config.detected is not None:
+        _add_detected(config.detected, [w.path.stem for w in watched], gathered)
+        judge = replace(judge, identity=None)
     for w in watched:
         assert w.clip is not None
         numbers = chosen_frames(w.performance.motion.frames, config.image_stride)
@@ -230,8 +235,26 @@ def _images(
     return {
         "about": f"Every {config.image_stride}th frame and the one after it, of the videos named "
         f"like a clip. Perceptual distance by {judge.perceptual.backend}.",
-        "rows": [report.numbers_of_images(name, about, gathered.scores(judge))],
+        "rows": [report.numbers_of_images(name, about, gathered.scores())],
     }
+
+
+def _add_detected(folder: Path, names: Sequence[str], gathered: FrameScores) -> None:
+    """Add what another network or detector found in the clips.
+
+    Raises:
+        BadInput: the folder has no file for any of them, or one that cannot be used.
+    """
+    files = [path for name in names if (path := folder / f"{name}.npz").exists()]
+    if not files:
+        raise BadInput(f"{folder}: holds no NAME.npz of a video that is named like a clip")
+    for path in files:
+        for name, sides in (("embeddings", gathered.embeddings), ("points", gathered.detected)):
+            pair = read_pair(path, name)
+            if pair is not None:
+                for side, values in zip(sides, pair, strict=True):
+                    side.append(values)
+    gathered.without_embeddings = f"{folder.name} holds no embeddings"
 
 
 def _stored(data: Dataset) -> dict[str, Clip]:
@@ -242,12 +265,12 @@ def _videos(
     data: Dataset, name: str, watched: Sequence[Watched], folder: Path, config: EvaluationConfig
 ) -> list[str]:
     """Side by side: the recorded clip and the video of its name."""
-    place, names = folder / "videos", []
+    place, names = folder / "videos-0", []
     for w in watched[: config.videos_shown]:
         assert w.clip is not None
         place.mkdir(exist_ok=True)
         clip = _stored(data)[w.clip.name]
         frames = padded(square_frames(w.path), clip.n_frames)
         write_video(place / f"{clip.id}.mp4", data, clip, {name: frames})
-        names.append(f"{clip.id}.mp4")
+        names.append(f"{place.name}/{clip.id}.mp4")
     return names

@@ -53,6 +53,8 @@ class EvaluationConfig:
         fgd_steps: most steps of its training.
         aed_steps: training steps of AED's network.
         truth: folder of `angie phantom` with the true joints; None without.
+        detected: folder with NAME.npz of other networks' embeddings and points for `--videos`.
+        greedy: always the likeliest gesture, whatever a bundle's own sampling.
         perceptual_weights: file of VGG19's weights; empty for the random network.
     """
 
@@ -66,12 +68,14 @@ class EvaluationConfig:
     fgd_steps: int = 3000
     aed_steps: int = 300
     truth: Path | None = None
+    detected: Path | None = None
+    greedy: bool = False
     perceptual_weights: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for the report, without the paths of this machine."""
         told = asdict(self)
-        for key in ("fgd", "truth"):
+        for key in ("fgd", "truth", "detected"):
             told[key] = None if told[key] is None else Path(told[key]).name
         told["perceptual_weights"] = Path(self.perceptual_weights).name
         return told

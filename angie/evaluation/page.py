@@ -2,7 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from html import escape
+from pathlib import PurePosixPath
 from typing import Any
+from urllib.parse import quote
 
 from angie.evaluation import plots
 from angie.evaluation.definitions import IMAGES, MOTION, Definition
@@ -86,8 +88,8 @@ def _space(space: Mapping[str, Any], several: bool) -> list[str]:
     if space["videos"]:
         parts.append("<h2>Videos</h2><p class=soft>What is synthetic is marked in the files.</p>")
         parts += [
-            f"<div>{escape(name)}<video controls preload=metadata src='videos/{escape(name)}'>"
-            "</video></div>"
+            f"<div>{escape(PurePosixPath(name).stem)}"
+            f"<video controls preload=metadata src='{quote(name)}'></video></div>"
             for name in space["videos"]
         ]
     parts.append(_missing(rows + (space["images"]["rows"] if space["images"] else [])))

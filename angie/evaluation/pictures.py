@@ -53,31 +53,39 @@ class FrameScores:
 
     pixels: dict[str, list[NDArray]] = field(default_factory=dict)
     embeddings: tuple[list[NDArray], list[NDArray]] = field(default_factory=lambda: ([], []))
+    detected: tuple[list[NDArray], list[NDArray]] = field(default_factory=lambda: ([], []))
     shifts: tuple[list[NDArray], list[NDArray]] = field(default_factory=lambda: ([], []))
     joints: tuple[list[NDArray], list[NDArray]] = field(default_factory=lambda: ([], []))
     flicker: list[float] = field(default_factory=list)
+    without_embeddings: str = "the training set has too few clips to learn identities from"
 
-    def scores(self, judge: FrameJudge) -> dict[str, Score]:
+    def scores(self) -> dict[str, Score]:
         """All scores of `definitions.IMAGES`."""
         keys = ("l1", "perceptual", "ssim", "psnr")
         if not self.pixels:
             reason = "no frame has a recorded counterpart"
-            more = ("aed", "akd", "akd_joints", "flicker")
+            more = ("aed", "akd", "akd_joints", "mkr", "flicker")
             return {key: Score.missing(reason) for key in (*keys, *more)}
         result = {}
         for key in keys:
             values = np.concatenate(self.pixels[key])
             result[key] = Score(float(values.mean()), counts={"frames": len(values)})
         result["aed"] = (
-            Score.missing("the training set has too few clips to learn identities from")
-            if judge.identity is None
-            else images.aed(*self.embeddings)
+            images.aed(*self.embeddings)
+            if self.embeddings[0]
+            else Score.missing(self.without_embeddings)
         )
         result["akd"] = images.akd(*self.shifts)
+        points = self.detected if self.detected[0] else self.joints
         result["akd_joints"] = (
-            images.akd(*self.joints)
-            if self.joints[0]
+            images.akd(*points)
+            if points[0]
             else Score.missing("the true joints are not known (phantom speaker: --truth)")
+        )
+        result["mkr"] = (
+            images.mkr(*self.detected)
+            if self.detected[0]
+            else Score.missing("needs key points of a detector (--videos with --detected)")
         )
         pairs = {"pairs of frames": len(self.flicker)}
         result["flicker"] = (
@@ -190,7 +198,7 @@ def score_pictures(
             part = None if known is None else known[numbers]
             compare(judge, gathered[name], true, made, seen, part)
             advance(len(numbers))
-    return {name: part.scores(judge) for name, part in gathered.items()}
+    return {name: part.scores() for name, part in gathered.items()}
 
 
 def read_chosen(dataset: Dataset, clip: Clip, numbers: NDArray) -> tuple[NDArray, NDArray]:

@@ -11,7 +11,7 @@ from angie.bundle import Bundle
 from angie.clips import MotionClip
 from angie.evaluation.space import RegionSpace, onsets_within
 from angie.generator import AngieGenerator
-from angie.motion import Motion, deltas
+from angie.motion import Motion, deltas, positive
 from data_prep.rates import FRAMES_PER_TOKEN, tokens_covering
 
 WINDOW = 96
@@ -119,7 +119,8 @@ def nearest_audio(space: RegionSpace) -> Row:
     return Row(
         "nearest audio",
         f"For each {WINDOW} frames of the sound the motion of the same speaker's training piece "
-        "with the nearest standardised MFCC (mean square, every 8th frame a candidate), joined "
+        "with the nearest standardised MFCC (mean square, every 8th frame a candidate), as "
+        "displacement from the mean pose of the training clip, added to the first pose; joined "
         f"by linear fades of {FADE} frames.",
         [run],
     )
@@ -153,12 +154,12 @@ def _retrieve(clip: MotionClip, space: RegionSpace) -> Motion:
         total[first:last] += found * ramp
         weight[first:last] += ramp
         if last >= frames:
-            return Motion.from_vector(total / weight)
+            return positive(Motion.from_vector(clip.motion[:1].vector() + total / weight))
         first = last - FADE
 
 
 def _nearest(piece: NDArray, shelf: list[MotionClip], sounds: list[NDArray]) -> torch.Tensor:
-    """Motion vectors (n, 5K) of the training sound nearest to a piece (n, 12).
+    """Displacement (n, 5K) from its clip's mean pose, of the sound nearest to a piece (n, 12).
 
     Where all training clips are shorter than the piece, n is the length of the longest.
     """
@@ -172,7 +173,8 @@ def _nearest(piece: NDArray, shelf: list[MotionClip], sounds: list[NDArray]) -> 
         if apart.min() < best:
             best, place = float(apart.min()), (index, int(apart.argmin()) * FRAMES_PER_TOKEN)
     index, first = place
-    return shelf[index].motion[first : first + size].vector()
+    vector = shelf[index].motion.vector()
+    return vector[first : first + size] - vector.mean(0)
 
 
 def truth_codes(generator: AngieGenerator, motion: Motion) -> torch.Tensor:
@@ -186,7 +188,12 @@ def truth_codes(generator: AngieGenerator, motion: Motion) -> torch.Tensor:
 
 
 def generated(
-    space: RegionSpace, bundle: Bundle, name: str, seeds: Sequence[int], start: str = "truth"
+    space: RegionSpace,
+    bundle: Bundle,
+    name: str,
+    seeds: Sequence[int],
+    start: str = "truth",
+    greedy: bool = False,
 ) -> Row:
     """What a bundle's generator makes of the sound of each test clip, from its first pose.
 
@@ -197,10 +204,14 @@ def generated(
         seeds: one run each; a greedy generator gives one run.
         start: "truth" begins with the first code pair of the recorded motion (Bailando's and the
             paper's protocol), "pose" with the codes of stillness, as for a photo.
+        greedy: always the likeliest code, whatever the bundle's own sampling.
     """
     if start not in STARTS:
         raise ValueError(f"start is one of {', '.join(STARTS)}, not {start!r}")
     generator = bundle.generator()
+    if greedy:
+        sampling = replace(generator.config.sampling, method="greedy")
+        generator = replace(generator, config=replace(generator.config, sampling=sampling))
     random = generator.config.sampling.method != "greedy"
     runs = []
     for seed in seeds if random else seeds[:1]:

@@ -78,19 +78,35 @@ def flicker(real: NDArray, made: NDArray) -> float:
     return float(np.abs(np.diff(real, axis=0) - np.diff(made, axis=0)).mean())
 
 
-def read_arrays(path: Path, name: str) -> NDArray:
-    """One array of floats from an .npz file, such as the embeddings (T, E) of another network.
+def read_pair(path: Path, name: str) -> tuple[NDArray, NDArray] | None:
+    """Arrays `real_<name>` and `made_<name>` of an .npz file, of another network or detector.
+
+    Args:
+        path: the file.
+        name: "embeddings" (T, E), or "points" (T, n, 2) in pixels, NaN where none was found.
+
+    Returns:
+        the recorded frames' and the made frames' array, cut to the shorter; None where the file
+        has neither.
 
     Raises:
-        BadInput: missing, unreadable, without the array, or not numbers.
+        BadInput: unreadable, one of the two alone, not floats, or of different shapes.
     """
+    names = [f"{side}_{name}" for side in ("real", "made")]
     try:
         with np.load(path, allow_pickle=False) as file:
-            if name not in file.files:
-                raise BadInput(f"{path}: has no array {name!r}; it has {', '.join(file.files)}")
-            values = file[name]
+            found = [file[key] for key in names if key in file.files]
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise BadInput(f"{path}: is no .npz file that can be read ({error})") from error
-    if not np.issubdtype(values.dtype, np.floating):
-        raise BadInput(f"{path}: {name!r} holds {values.dtype}, not floating-point numbers")
-    return values
+    if not found:
+        return None
+    if len(found) == 1:
+        raise BadInput(f"{path}: has {names[0]} or {names[1]} alone; both are needed")
+    rank = 2 if name == "embeddings" else 3
+    real, made = found
+    if {real.ndim, made.ndim} != {rank} or real.shape[1:] != made.shape[1:]:
+        raise BadInput(f"{path}: {name} have shapes {real.shape} and {made.shape}")
+    if not all(np.issubdtype(values.dtype, np.floating) for values in found):
+        raise BadInput(f"{path}: {name} must be floating-point numbers")
+    frames = min(len(real), len(made))
+    return real[:frames], made[:frames]

@@ -66,9 +66,9 @@ def test_videos_stand_side_by_side(dataset, bundle, tmp_path):
     config = EvaluationConfig(**{**QUICK, "videos_shown": 1})
     numbers = evaluate(dataset.path, [bundle.folder], tmp_path / "report", config)
     (name,) = numbers["spaces"][0]["videos"]
-    info = probe(tmp_path / "report" / "videos" / name)
+    info = probe(tmp_path / "report" / name)
     assert (info.width, info.height) == (6 * 256, 280) and info.has_sound
-    clip = next(c for c in dataset.clips() if c.id == name.removesuffix(".mp4"))
+    clip = next(c for c in dataset.clips() if f"videos-0/{c.id}.mp4" == name)
     assert info.duration == pytest.approx(clip.n_frames / 25, abs=0.05)
 
 
@@ -87,12 +87,14 @@ def test_the_same_seed_gives_the_same_report_and_a_stored_auto_encoder_is_taken(
     again = evaluate(dataset.path, [bundle.folder], tmp_path / "again", config)
     assert again["spaces"][0]["rows"] == first["spaces"][0]["rows"]
     assert not (tmp_path / "again" / "identity-0.safetensors").exists()
-    config = EvaluationConfig(images=False, fgd=output / "fgd-0.safetensors", start="pose")
+    stored = output / "fgd-0.safetensors"
+    config = EvaluationConfig(2, images=False, fgd=stored, start="pose", greedy=True)
     third = evaluate(dataset.path, [bundle.folder], tmp_path / "third", config)
     name = "auto-encoder of FGD"
     assert third["spaces"][0]["origin"][name] == first["spaces"][0]["origin"][name]
     assert row(third, "nearest audio")["scores"] == row(first, "nearest audio")["scores"]
-    assert "stillness" in row(third, bundle.folder.name)["about"]
+    own = row(third, bundle.folder.name)
+    assert own["runs"] == 1 and "stillness" in own["about"] and "greedy" in own["about"]
 
 
 @pytest.fixture
@@ -119,7 +121,27 @@ def test_a_folder_of_videos_is_scored(folder, dataset, bundle, tmp_path):
     assert own["bc"]["runs"][0]["counts"]["without onsets"] == 1
     scores = row(numbers, "system", "images")["scores"]
     assert scores["l1"]["mean"] < 0.02 and scores["psnr"]["mean"] > 30
-    assert len(list((output / "videos").iterdir())) == 1
+    assert len(list((output / "videos-0").iterdir())) == 1
+
+
+def test_what_another_network_found_is_scored(folder, dataset, bundle, tmp_path):
+    name = dataset.clips("test")[0].id
+    own = tmp_path / "found"
+    own.mkdir()
+    points = np.zeros((9, 4, 2))
+    np.savez(
+        own / f"{name}.npz",
+        **{"real_embeddings": np.ones((9, 8)), "made_embeddings": np.full((9, 8), 1.5)},
+        **{"real_points": points, "made_points": np.where(np.arange(4)[:, None] > 0, 3, np.nan)
+           + points},
+    )  # fmt: skip
+    config = EvaluationConfig(**QUICK, detected=own)
+    numbers = evaluate_videos(folder, dataset.path, bundle.folder, tmp_path / "report", config)
+    scores = row(numbers, "system", "images")["scores"]
+    assert [scores[key]["mean"] for key in ("aed", "akd_joints", "mkr")] == [0.5, 3, 0.25]
+    (own / f"{name}.npz").rename(own / "other.npz")
+    with pytest.raises(BadInput, match="named like a clip"):
+        evaluate_videos(folder, dataset.path, bundle.folder, tmp_path / "again", config)
 
 
 def test_bad_folders_of_videos_are_refused(folder, dataset, bundle, tmp_path):

@@ -93,7 +93,7 @@ def numbers(space, judge):
     one = report.numbers_of_space(space, judge, made, told, name, bins, {"a": "b"}, {"mine": {}})
     one |= {
         "images": {"about": "All.", "rows": [numbers_of_images("mine", "Drawn.", images)]},
-        "videos": ["a.mp4"],
+        "videos": ["videos-0/a.mp4"],
     }
     sizes = {"test_clips": 4, "train_clips": 8, "test_minutes": 1.0, "train_minutes": 2.0}
     data = {"name": "set", "sha256": "0" * 64, "fps": 25, "speakers": ["ada", "bob"], **sizes}
@@ -112,7 +112,7 @@ def test_the_files_of_a_report(numbers, tmp_path):
     assert "abc,motion,ground truth,1,maje,1/1000,0,," in lines
     html = (tmp_path / "report.html").read_text()
     assert "no &lt;network&gt;" in html and "<network>" not in html
-    assert html.count("<svg") >= 9 and "videos/a.mp4" in html
+    assert html.count("<svg") >= 9 and "src='videos-0/a.mp4'" in html
     assert html == page("set", numbers)
 
 

@@ -37,18 +37,32 @@ def test_flicker_is_blind_to_what_stays():
     assert images.flicker(real, blinking) == pytest.approx(0.2)
 
 
-def test_embeddings_of_another_network(tmp_path):
-    np.savez(tmp_path / "clip.npz", real=np.ones((3, 4)), numbers=np.arange(3))
-    assert images.read_arrays(tmp_path / "clip.npz", "real").shape == (3, 4)
-    (tmp_path / "text.npz").write_text("nothing")
-    for name, array, words in [
-        ("clip.npz", "made", "has no array"),
-        ("clip.npz", "numbers", "not floating-point"),
-        ("text.npz", "real", "no .npz file"),
-        ("none.npz", "real", "no .npz file"),
-    ]:
-        with pytest.raises(BadInput, match=words):
-            images.read_arrays(tmp_path / name, array)
+def test_arrays_of_another_network(tmp_path):
+    path = tmp_path / "clip.npz"
+    np.savez(path, real_embeddings=np.ones((3, 4)), made_embeddings=np.zeros((2, 4)))
+    real, made = images.read_pair(path, "embeddings")
+    assert real.shape == made.shape == (2, 4) and images.aed([real], [made]).value == 1
+    assert images.read_pair(path, "points") is None
+
+
+@pytest.mark.parametrize(
+    ("arrays", "words"),
+    [
+        ({"real_points": np.ones((3, 4, 2))}, "alone"),
+        ({"real_points": np.ones((3, 4, 2)), "made_points": np.ones((3, 5, 2))}, "shapes"),
+        ({"real_points": np.ones((3, 4)), "made_points": np.ones((3, 4))}, "shapes"),
+        ({"real_points": np.ones((3, 4, 2), int), "made_points": np.ones((3, 4, 2))}, "floating"),
+        (None, "no .npz file"),
+    ],
+)
+def test_arrays_that_cannot_be_used_are_refused(tmp_path, arrays, words):
+    path = tmp_path / "clip.npz"
+    if arrays is None:
+        path.write_text("nothing")
+    else:
+        np.savez(path, **arrays)
+    with pytest.raises(BadInput, match=words):
+        images.read_pair(path, "points")
 
 
 def test_triplet_loss_by_hand():
