@@ -155,8 +155,9 @@ def evaluate_videos(
     paths = videos_in(Path(folder))
     if not paths:
         raise BadInput(f"{folder}: holds no videos")
-    if config.detected is not None and not config.detected.is_dir():
-        raise BadInput(f"{config.detected}: is no folder; give one with NAME.npz for each video")
+    own = config.detected
+    if own is not None and not any((own / f"{path.stem}.npz").is_file() for path in paths):
+        raise BadInput(f"{own}: holds no NAME.npz for a video NAME of {folder}")
     joints = {} if config.truth is None else true_joints(data, config.truth)
     with whole_folder(output, mark=report.MARK, force=force) as part:
         scratch = part / "motion-0"
@@ -240,14 +241,8 @@ def _images(
 
 
 def _add_detected(folder: Path, names: Sequence[str], gathered: FrameScores) -> None:
-    """Add what another network or detector found in the clips.
-
-    Raises:
-        BadInput: the folder has no file for any of them, or one that cannot be used.
-    """
-    files = [path for name in names if (path := folder / f"{name}.npz").exists()]
-    if not files:
-        raise BadInput(f"{folder}: holds no NAME.npz of a video that is named like a clip")
+    """Add what another network or detector found in the clips, as far as there are files."""
+    files = [path for name in names if (path := folder / f"{name}.npz").is_file()]
     for path in files:
         for name, sides in (("embeddings", gathered.embeddings), ("points", gathered.detected)):
             pair = read_pair(path, name)
