@@ -139,7 +139,7 @@ def test_what_another_network_found_is_scored(folder, dataset, bundle, tmp_path)
     numbers = evaluate_videos(folder, dataset.path, bundle.folder, tmp_path / "report", config)
     scores = row(numbers, "system", "images")["scores"]
     assert [scores[key]["mean"] for key in ("aed", "akd_joints", "mkr")] == [0.5, 3, 0.25]
-    (own / f"{name}.npz").rename(own / "other.npz")
+    (own / f"{name}.npz").rename(own / "third.npz")
     with pytest.raises(BadInput, match="no NAME.npz"):
         evaluate_videos(folder, dataset.path, bundle.folder, tmp_path / "again", config)
 
