@@ -7,14 +7,16 @@ import numpy as np
 import torch
 
 from angie import __version__
-from angie.animate import Result, Subject, check_look, draw, open_subject, write_video
+from angie.animate import Result, draw, write_video
 from angie.bundle import Bundle
+from angie.subject import Subject, check_look, open_subject
 from data_prep.errors import BadInput
 from data_prep.output import check_apart, whole_file
 from data_prep.rates import FPS
 from data_prep.speaker import PEOPLE, Crop
 from data_prep.square import Square, find_square, given_square
 from data_prep.video import VideoInfo, VideoWriter, probe
+from mraa.allocator import keep_memory
 from mraa.modes import MODES, Transfer
 from mraa.regions import Regions
 from mraa.renderer import Renderer, from_pixels
@@ -95,6 +97,7 @@ def drive(
         square = _square(video_path, info, drive_crop, drive_person)
         with torch.no_grad():
             estimated = subject.renderer.estimator(subject.picture)
+        keep_memory()  # from here on: what the search used has been given back
         affine_mode = subject.renderer.config.affine_mode
         transfer = Transfer(mode, estimated, affine_mode, avd, tracked=track_axes)
         sound = sound_path or (video_path if info.has_sound else None)

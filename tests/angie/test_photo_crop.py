@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from angie.animate import photo_crop
 from angie.demo import PHOTO
+from angie.subject import photo_crop
 from data_prep.errors import BadInput
 from data_prep.photo import read_photo
 
