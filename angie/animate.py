@@ -132,13 +132,18 @@ def animate(
             FPS,
             sound=Path(sound_path),
             comment=COMMENT,
-            threads=int(math.prod(shown.width_height) <= SMALL),
+            threads=encoder_threads(shown.width_height),
         )
         batches = render(
             subject.renderer, subject.picture, pose, motion, precision, subject.canvas, track_axes
         )
         write_video(video, batches, frames)
     return Result(Path(output), frames, seconds, subject.crop, shown.width_height, shown.note)
+
+
+def encoder_threads(width_height: tuple[int, int]) -> int:
+    """Threads of the picture's encoder for a video of that size, 0 for as many as it likes."""
+    return int(math.prod(width_height) <= SMALL)
 
 
 def write_video(video: VideoWriter, batches: Iterable[np.ndarray], frames: int) -> int:

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from angie import __version__
-from angie.animate import Result, draw, write_video
+from angie.animate import Result, draw, encoder_threads, write_video
 from angie.bundle import Bundle
 from angie.subject import Subject, check_look, open_subject
 from data_prep.errors import BadInput
@@ -108,6 +108,7 @@ def drive(
             sound=sound,
             comment=COMMENT,
             origin=None if sound_path else info.start,
+            threads=encoder_threads(subject.shown.width_height),
             fit=True,
         )
         frames = write_video(video, _frames(subject, square, transfer, precision), square.frames)
