@@ -28,6 +28,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from angie import __version__
+from angie.direct import DirectMotion
 from angie.generator import AngieGenerator
 from angie.gpt import CoSpeechGPT
 from angie.packing import pack
@@ -68,7 +69,7 @@ OPTIONAL = ("avd",)
 """Parts that a bundle may lack and still be whole."""
 
 PARTS = tuple(part for part in UPSTREAM if part not in OPTIONAL)
-"""Parts that gesturing to speech needs."""
+"""Parts that gesturing to speech needs, with regions and codes; see `Bundle.parts`."""
 
 STAGE_OF = {"statistics": "motion"}
 """Name of the training stage that makes a part, where it is not the part's own name."""
@@ -158,6 +159,21 @@ class Bundle:
         """Folder for checkpoints, curves and caches of training."""
         return self.folder / TRAIN
 
+    @property
+    def parts(self) -> list[str]:
+        """Parts that a whole bundle of this preset has, in the order of training."""
+        preset = self.preset
+        absent = {
+            "renderer": preset.points,
+            "avd": preset.points,
+            "gpt": preset.vq.quant == "no_quant",
+        }
+        return [part for part in UPSTREAM if not absent.get(part)]
+
+    def upstream(self, part: str) -> list[str]:
+        """Parts of this bundle that a part is trained on."""
+        return [name for name in UPSTREAM[part] if name in self.parts]
+
     def has(self, part: str) -> bool:
         """Whether a part is whole, of the present sizes, and trained on the present parts."""
         try:
@@ -170,6 +186,8 @@ class Bundle:
         """Hash of the settings that make a part's architecture."""
         section = _SECTION.get(part)
         value = {} if section is None else _sizes(getattr(self.preset, section), part)
+        if part == "vq" and self.preset.vq.quant == "no_quant":
+            value = {**value, "gpt": _sizes(self.preset.gpt, "gpt")}  # holds the transformer too
         return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
     def hash_of(self, part: str) -> str:
@@ -193,7 +211,7 @@ class Bundle:
         self.manifest["parts"][part] = {
             "file": path.name,
             "sha256": sha256(path),
-            "upstream": {name: self.hash_of(name) for name in UPSTREAM[part]},
+            "upstream": {name: self.hash_of(name) for name in self.upstream(part)},
             "sizes": self.sizes_of(part),
             "report": {"angie": __version__, "commit": source_commit(), **report},
         }
@@ -221,7 +239,7 @@ class Bundle:
                 f"{self.folder}: {part} was trained with other settings than bundle.json states; "
                 f"run angie train --stage {stage} again"
             )
-        for name in UPSTREAM[part]:
+        for name in self.upstream(part):
             self.path_of(name)
             if entry["upstream"].get(name) != self.hash_of(name):
                 raise BadInput(
@@ -238,13 +256,18 @@ class Bundle:
         """Normalisation and ranges of the motion."""
         return MotionStatistics.load(self.path_of("statistics"))
 
-    def vq(self) -> VQMotionExtractor:
-        """The VQ motion extractor in eval mode."""
-        return self._load("vq", VQMotionExtractor(self.preset.vq))
+    def vq(self) -> VQMotionExtractor | DirectMotion:
+        """The VQ motion extractor, or what stands in its place without codes, in eval mode."""
+        preset = self.preset
+        if preset.vq.quant == "no_quant":
+            model: Any = DirectMotion(preset.vq, preset.gpt, self._speakers())
+        else:
+            model = VQMotionExtractor(preset.vq)
+        return self._load("vq", model)
 
     def gpt(self) -> CoSpeechGPT:
         """The co-speech GPT in eval mode."""
-        return self._load("gpt", CoSpeechGPT(self.preset.gpt))
+        return self._load("gpt", CoSpeechGPT(self.preset.gpt, self._speakers()))
 
     def refiner(self) -> Refiner:
         """The refiner in eval mode."""
@@ -260,7 +283,8 @@ class Bundle:
         Raises:
             BadInput: parts are missing or unusable.
         """
-        missing = [part for part in PARTS if part not in self.manifest["parts"]]
+        wanted = [part for part in self.parts if part not in OPTIONAL]
+        missing = [part for part in wanted if part not in self.manifest["parts"]]
         if missing and missing[0] != "renderer":
             stages = ", ".join(STAGE_OF.get(part, part) for part in missing)
             raise BadInput(
@@ -268,11 +292,18 @@ class Bundle:
                 f"{self.folder} --resume trains what it lacks ({stages}); "
                 "animate --drive VIDEO works without"
             )
-        gpt = self.gpt()
-        pack(gpt)
-        return AngieGenerator(
-            self.vq(), gpt, self.refiner(), self.statistics(), self.preset.generation
-        )
+        gpt = self.gpt() if "gpt" in self.parts else None
+        if gpt is not None:
+            pack(gpt)
+        vq, refiner, statistics = self.vq(), self.refiner(), self.statistics()
+        errors = self.manifest["parts"]["vq"]["report"].get("decoding", {})
+        chunked = errors.get("chunked", 1.0) < errors.get("full", 0.0)
+        config = self.preset.generation
+        return AngieGenerator(vq, gpt, refiner, statistics, config, chunked=chunked)
+
+    def _speakers(self) -> int:
+        """Speakers of the training set; only joint models need to know."""
+        return len(self.statistics().speakers) if self.preset.gpt.joint else 1
 
     def _load(self, part: str, model: Any) -> Any:
         path = self.path_of(part)

@@ -15,6 +15,7 @@ from angie.commands.animate import animate, demo
 from angie.commands.bundles import import_mraa, info, train
 from angie.commands.data import phantom, prepare
 from angie.commands.evaluate import evaluate
+from angie.commands.motion import codebook, gestures
 from data_prep.errors import BadInput
 from data_prep.progress import console
 
@@ -26,7 +27,18 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-for command in (animate, demo, phantom, prepare, train, evaluate, import_mraa, info):
+for command in (
+    animate,
+    demo,
+    phantom,
+    prepare,
+    train,
+    evaluate,
+    import_mraa,
+    gestures,
+    codebook,
+    info,
+):
     app.command()(command)
 
 

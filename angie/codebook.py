@@ -132,6 +132,11 @@ class Codebook(nn.Module):
         share = self.usage / self.usage.sum().clamp_min(1e-12)
         return torch.special.entr(share).sum().exp()
 
+    def used(self) -> Tensor:
+        """Number of entries that lately had at least a tenth of an even share of the use."""
+        share = self.usage / self.usage.sum().clamp_min(1e-12)
+        return (share * len(self.usage) >= 0.1).sum()
+
     @torch.no_grad()
     def _initialise(self, flat: Tensor) -> None:
         self.entries.copy_(self._candidates(flat))

@@ -5,6 +5,7 @@ The paper's clips last about ten seconds and need nothing; longer speech does.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -20,6 +21,15 @@ AUTO_FRAMES = 10 * FPS
 
 LINEAR = 0.8
 """Part of the range in which the soft range leaves motion untouched."""
+
+PAUSE = FPS * 2 // 5
+"""Frames of calm (0.4 s) that make a pause."""
+
+APART = 8 * FPS
+"""Least frames from one re-anchoring to the next."""
+
+REANCHOR = 0.5
+"""Part of the way to the nearest training pose that re-anchoring goes."""
 
 MODES = ("auto", "on", "off")
 
@@ -111,8 +121,76 @@ def remove_mean(delta: Tensor, mean: Tensor) -> Tensor:
     return delta - mean * activity(delta)
 
 
+def pauses(calm: Tensor) -> list[int]:
+    """Frames at which motion may be re-anchored: 0.4 s calm, 8 s after the one before.
+
+    Args:
+        calm: (T,) bool, frames with little motion.
+    """
+    found, run, last = [], 0, 0
+    for frame, still in enumerate(calm.tolist()):
+        run = run + 1 if still else 0
+        if run >= PAUSE and frame - last >= APART:
+            found.append(frame)
+            last = frame
+    return found
+
+
+def reanchor(
+    displacement: Tensor, frames: list[int], anchors: Tensor, scale: Tensor, tau: float = TAU
+) -> Tensor:
+    """Fade displacements half-way toward the nearest pose of the training set, in pauses.
+
+    At each of the given frames the displacement is moved by half its difference from the nearest
+    anchor, over one second; what was moved is then forgotten as leaky integration forgets.
+
+    Args:
+        displacement: (T, C) from the rest pose.
+        frames: where to begin, at least a second apart; see `pauses`.
+        anchors: (n, C) displacements of calm training poses, n > 0.
+        scale: (C,) in units of which nearness is measured.
+        tau: of the leaky integration, seconds.
+
+    Returns:
+        (T, C).
+    """
+    rho = math.exp(-1 / (FPS * tau))
+    moved = displacement.clone()
+    held = torch.zeros_like(displacement[0])
+    for place, frame in enumerate(frames):
+        end = frames[place + 1] if place + 1 < len(frames) else len(moved)
+        here = displacement[frame] + held
+        nearest = ((anchors - here) / scale).square().sum(dim=-1).argmin()
+        push = REANCHOR * (anchors[nearest] - here)
+        later = torch.arange(end - frame, dtype=displacement.dtype)[:, None]
+        fade = 0.5 - 0.5 * torch.cos(math.pi * (later / FPS).clamp_max(1))
+        moved[frame:end] += rho**later * (held + fade * push)
+        held = rho ** (end - frame) * (held + push)
+    return moved
+
+
+@dataclass(frozen=True)
+class Anchors:
+    """What re-anchoring goes by.
+
+    Attributes:
+        poses: (n, C) displacements of calm training poses.
+        scale: (C,) standard deviation of the displacement.
+        calm: (T,) bool, frames of the motion with little movement.
+    """
+
+    poses: Tensor
+    scale: Tensor
+    calm: Tensor
+
+
 def integrate_bounded(
-    delta: Tensor, start: Tensor, rest: Tensor, low: Tensor, high: Tensor
+    delta: Tensor,
+    start: Tensor,
+    rest: Tensor,
+    low: Tensor,
+    high: Tensor,
+    anchors: Anchors | None = None,
 ) -> Tensor:
     """Integrate generated deltas without drift: leak toward the rest pose, soft range.
 
@@ -122,11 +200,15 @@ def integrate_bounded(
         rest: (C,) rest pose of the speaker, or `start` for an unknown one.
         low: (C,) 0.2th percentile of the training displacement from rest.
         high: (C,) 99.8th percentile.
+        anchors: re-anchor in pauses; None does not.
 
     Returns:
         (T, C) absolute motion; frame 1 is `start`.
     """
-    leaky = integrate_leaky(delta, start, rest)
-    motion = rest + soft_range(leaky - rest, low, high)
+    displacement = integrate_leaky(delta, start, rest) - rest
+    if anchors is not None and len(anchors.poses):
+        begins = pauses(anchors.calm)
+        displacement = reanchor(displacement, begins, anchors.poses, anchors.scale)
+    motion = rest + soft_range(displacement, low, high)
     motion[..., 0, :] = start
     return motion

@@ -4,12 +4,15 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import torch
+from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
 from angie.continuation import Window, continue_codes
-from angie.drift import MODES, bounded, integrate_bounded, remove_mean
+from angie.direct import DirectMotion
+from angie.drift import MODES, Anchors, activity, bounded, integrate_bounded, remove_mean
 from angie.gpt import CoSpeechGPT
-from angie.motion import Motion, integrate, positive, render_floor
+from angie.motion import Motion, positive, render_floor
+from angie.quantisation import Channels
 from angie.refiner import Refiner
 from angie.sampling import Sampling
 from angie.statistics import MotionStatistics
@@ -17,7 +20,7 @@ from angie.vq import VQMotionExtractor
 from data_prep.features import SpeechFeatures
 from data_prep.rates import FRAMES_PER_TOKEN, tokens_covering
 
-DECODINGS = ("full", "chunked")
+DECODINGS = ("full", "chunked", "auto")
 
 
 class GestureGenerator(Protocol):
@@ -54,8 +57,12 @@ class GenerationConfig:
         sampling: how codes are chosen.
         window: what the GPT sees of long sound.
         bounding: drift bounding, "auto" (above 10 s), "on" or "off".
-        decode: "full" (all codes in one pass) or "chunked" (12 codes every 6, cross-faded).
+        decode: "full" (all codes in one pass), "chunked" (12 codes every 6, cross-faded) or
+            "auto": whichever reconstructed long held-out clips better after training.
         refine: add the refiner's residuals.
+        reanchor: where motion is bounded, fade toward a training pose in pauses.
+        smooth: standard deviation, in frames, of a Gaussian over time on the Cholesky factors;
+            0 leaves them.
     """
 
     sampling: Sampling = field(default_factory=Sampling)
@@ -63,12 +70,16 @@ class GenerationConfig:
     bounding: str = "off"
     decode: str = "full"
     refine: bool = True
+    reanchor: bool = False
+    smooth: float = 0.0
 
     def __post_init__(self) -> None:
         if self.bounding not in MODES:
             raise ValueError(f"bounding is one of {', '.join(MODES)}, not {self.bounding!r}")
         if self.decode not in DECODINGS:
             raise ValueError(f"decode is one of {', '.join(DECODINGS)}, not {self.decode!r}")
+        if self.smooth < 0:
+            raise ValueError("smooth is a number of frames, 0 for none")
 
 
 def voiced_tokens(onset: Tensor) -> Tensor:
@@ -93,18 +104,20 @@ class AngieGenerator:
     """ANGIE (NeurIPS 2022): codes from the GPT, deltas from the decoders, refined by rhythm.
 
     Attributes:
-        vq: VQ motion extractor.
-        gpt: co-speech GPT trained on its codes.
+        vq: VQ motion extractor, or the model that regresses motion without codes.
+        gpt: co-speech GPT trained on its codes; None for a model without codes.
         refiner: refiner trained on its patterns.
         statistics: those all three were trained with.
         config: how to generate.
     """
 
-    vq: VQMotionExtractor
-    gpt: CoSpeechGPT
+    vq: VQMotionExtractor | DirectMotion
+    gpt: CoSpeechGPT | None
     refiner: Refiner
     statistics: MotionStatistics
     config: GenerationConfig = field(default_factory=GenerationConfig)
+    chunked: bool = False
+    """What `decode="auto"` means for these parts."""
 
     def __post_init__(self) -> None:
         regions = {
@@ -112,10 +125,18 @@ class AngieGenerator:
             self.refiner.config.regions,
             self.statistics.regions,
         }
-        if len(regions) > 1 or self.vq.config.codes != self.gpt.config.codes:
+        alone = isinstance(self.vq, DirectMotion)
+        if self.gpt is None or alone:
+            fit = alone and self.gpt is None
+        else:
+            sizes, codes = self.gpt.config, self.vq.config
+            fit = (sizes.codes, sizes.streams) == (codes.codes, codes.streams)
+        if len(regions) > 1 or not fit:
             raise ValueError("the parts of the generator were not trained on one another")
         for part in (self.vq, self.gpt, self.refiner):
-            part.eval().requires_grad_(False)
+            if part is not None:
+                part.eval().requires_grad_(False)
+        self.channels = Channels.of(self.statistics, self.vq.config.quant)
 
     @torch.no_grad()
     def generate(
@@ -154,42 +175,78 @@ class AngieGenerator:
         first = start.vector()[0].detach().cpu().float()
         onset = torch.as_tensor(speech.onset[:tokens])
         mfcc = torch.as_tensor(speech.mfcc[:frames])
-        codes = self._codes(onset, seed, start_codes)
-        delta = self._decode(codes)[:frames]
-        pattern = self._integrate(delta, first, speaker)
+        who = None if speaker is None else self.statistics.place_of(speaker)
+        if isinstance(self.vq, DirectMotion):
+            delta = self.vq.predict(self.statistics.standard_onset(onset), who)
+        else:
+            delta = self._decode(self._codes(onset, seed, start_codes, who))
+        pattern = self._integrate(delta[:frames], first, speaker)
         motion = pattern + self._residual(mfcc, pattern) if self.config.refine else pattern
         return self._renderable(motion, first)
 
-    def _codes(self, onset: Tensor, seed: int, start_codes: Tensor | None) -> Tensor:
-        """Codes (2, S) of raw onset features (S, 426)."""
-        generator = torch.Generator().manual_seed(seed)
+    @torch.no_grad()
+    def codes_of(self, motion: Motion) -> Tensor | None:
+        """Codes (streams, S) of recorded motion, to begin generated motion with (`start_codes`).
+
+        All codes of a clip are its reconstruction; its first one alone, `codes[:, :1]`, is the
+        protocol of the papers' tables; those of a few seconds of another clip are a seed.
+        Motion that ends inside a token is continued with stillness.
+
+        Args:
+            motion: recorded motion of any length.
+
+        Returns:
+            the codes, or None if the generator has none.
+        """
+        if isinstance(self.vq, DirectMotion):
+            return None
+        poses = motion.vector()
+        missing = tokens_covering(len(poses)) * FRAMES_PER_TOKEN - len(poses)
+        poses = torch.cat([poses[:1], poses, poses[-1:].expand(missing, -1)])
+        values = self.channels.normalise(poses)
+        return self.vq.encode(values[None].to(self.vq.mean.device))[0].cpu()
+
+    def _codes(
+        self, onset: Tensor, seed: int, start_codes: Tensor | None, speaker: int | None = None
+    ) -> Tensor:
+        """Codes (streams, S) of raw onset features (S, 426)."""
+        assert isinstance(self.vq, VQMotionExtractor) and self.gpt is not None
         begin = self.vq.start_codes()[:, None] if start_codes is None else start_codes
-        standard = self.statistics.standard_onset(onset)
-        voiced = voiced_tokens(onset)
         return continue_codes(
             self.gpt,
             begin,
-            standard,
+            self.statistics.standard_onset(onset),
             self.config.sampling,
-            generator,
-            voiced=voiced,
+            torch.Generator().manual_seed(seed),
+            voiced=voiced_tokens(onset),
             window=self.config.window,
+            speaker=speaker,
         )
 
     def _decode(self, codes: Tensor) -> Tensor:
-        """Normalised deltas (8S, 5K) of codes (2, S) on the CPU."""
+        """Normalised deltas (8S, 5K) of codes (streams, S) on the CPU."""
+        assert isinstance(self.vq, VQMotionExtractor)
         codes = codes.to(self.vq.mean.device)
-        chunked = self.config.decode == "chunked"
+        chunked = self.chunked if self.config.decode == "auto" else self.config.decode == "chunked"
         return self.vq.decode_chunked(codes) if chunked else self.vq.decode_whole(codes)
 
     def _integrate(self, delta: Tensor, start: Tensor, speaker: str | None) -> Tensor:
-        """Pattern motion (T, 5K) of normalised deltas."""
+        """Pattern motion (T, 5K) of normalised deltas.
+
+        Bounding is for relative shift and Cholesky factor; other variants are summed up plainly.
+        """
         statistics = self.statistics
+        plain = self.channels.covariance or not self.channels.all_relative
+        if plain or not bounded(self.config.bounding, len(delta)):
+            return self.channels.integrate(delta, start)
         rest = start if speaker is None else statistics.rest_of(speaker)
-        if not bounded(self.config.bounding, len(delta)):
-            return integrate(delta * statistics.delta_scale, start)
-        delta = remove_mean(delta, self.vq.mean.cpu()) * statistics.delta_scale
-        return integrate_bounded(delta, start, rest, statistics.low, statistics.high)
+        delta = remove_mean(delta, self.vq.mean.cpu())
+        anchors = None
+        if self.config.reanchor and len(statistics.anchors):
+            calm = activity(delta)[:, 0] <= statistics.calm
+            anchors = Anchors(statistics.anchors, statistics.pose_scale, calm)
+        delta = delta * statistics.delta_scale
+        return integrate_bounded(delta, start, rest, statistics.low, statistics.high, anchors)
 
     def _residual(self, mfcc: Tensor, pattern: Tensor) -> Tensor:
         """Residual motion (T, 5K); it grows from zero over the first token."""
@@ -200,10 +257,21 @@ class AngieGenerator:
 
     def _renderable(self, motion: Tensor, start: Tensor) -> Motion:
         """Positive factors within the render floor; frame 1 is the start pose."""
-        pose = Motion.from_vector(start[None])
+        pose, made = self._motion(start[None]), self._motion(motion)
+        if self.config.smooth and made.has_extent:
+            factors = gaussian_filter1d(
+                made.cholesky.numpy(), self.config.smooth, 0, mode="nearest"
+            )
+            made = Motion(made.shift, torch.from_numpy(factors))
         statistics = self.statistics
-        fixed = positive(Motion.from_vector(motion))
+        fixed = positive(made)
         fixed = render_floor(fixed, statistics.diagonal_low, statistics.diagonal_high, pose)
         vector = fixed.vector()
         vector[0] = start
-        return Motion.from_vector(vector)
+        return self._motion(vector)
+
+    def _motion(self, vector: Tensor) -> Motion:
+        """Motion of vectors (T, 5K), or (T, 2K) for points without extent."""
+        if self.statistics.has_extent:
+            return Motion.from_vector(vector)
+        return Motion.of_points(vector.unflatten(-1, (self.statistics.regions, 2)))

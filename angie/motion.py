@@ -31,7 +31,8 @@ class Motion:
 
     Attributes:
         shift: (..., T, K, 2) float32, region centres (x, y) in [-1, 1].
-        cholesky: (..., T, K, 3) float32, (l1, l2, l3) of the covariances' Cholesky factors.
+        cholesky: (..., T, K, 3) float32, (l1, l2, l3) of the covariances' Cholesky factors;
+            (..., T, K, 0) for points without extent, such as joints.
     """
 
     shift: Tensor
@@ -39,9 +40,9 @@ class Motion:
 
     def __post_init__(self) -> None:
         frames, pairs = self.shift.shape[:-1], self.shift.shape[-1]
-        if pairs != 2 or self.cholesky.shape != (*frames, 3):
+        if pairs != 2 or self.cholesky.shape not in ((*frames, 3), (*frames, 0)):
             raise ValueError(
-                f"shift must be (..., T, K, 2) and cholesky (..., T, K, 3), "
+                f"shift must be (..., T, K, 2) and cholesky (..., T, K, 3) or (..., T, K, 0), "
                 f"not {tuple(self.shift.shape)} and {tuple(self.cholesky.shape)}"
             )
 
@@ -54,8 +55,18 @@ class Motion:
         shift, cholesky = vector.split([2 * regions, 3 * regions], dim=-1)
         return cls(shift.unflatten(-1, (regions, 2)), cholesky.unflatten(-1, (regions, 3)))
 
+    @classmethod
+    def of_points(cls, points: Tensor) -> "Motion":
+        """Points (..., T, K, 2) without extent."""
+        return cls(points, points.new_zeros(*points.shape[:-1], 0))
+
+    @property
+    def has_extent(self) -> bool:
+        """Whether there are Cholesky factors; points have none."""
+        return self.cholesky.shape[-1] > 0
+
     def vector(self) -> Tensor:
-        """Motion vectors (..., T, 5K): 2K shift channels, then 3K Cholesky channels."""
+        """Motion vectors (..., T, 5K): 2K shift channels, then 3K Cholesky channels, if any."""
         return torch.cat([self.shift.flatten(-2), self.cholesky.flatten(-2)], dim=-1)
 
     @property
@@ -112,6 +123,18 @@ def decode_cholesky(cholesky: Tensor) -> Tensor:
     return rows.unflatten(-1, (2, 2))
 
 
+def pack_covariance(covariance: Tensor) -> Tensor:
+    """Covariances (..., T, K, 2, 2) as (..., T, 3K): c11, c12, c22 of each region."""
+    parts = [covariance[..., 0, 0], covariance[..., 1, 0], covariance[..., 1, 1]]
+    return torch.stack(parts, dim=-1).flatten(-2)
+
+
+def unpack_covariance(packed: Tensor) -> Tensor:
+    """Covariances (..., T, K, 2, 2) of `pack_covariance`."""
+    a, b, d = packed.unflatten(-1, (-1, 3)).unbind(-1)
+    return torch.stack([a, b, b, d], dim=-1).unflatten(-1, (2, 2))
+
+
 def deltas(vector: Tensor) -> Tensor:
     """Relative motion d_j = x_j - x_{j-1}; the first frame has no predecessor and gets zero.
 
@@ -147,6 +170,8 @@ def positive(motion: Motion) -> Motion:
     To be applied once, after integration and refinement: inside the recursion it would break the
     additivity of the deltas (ANGIE, section 3.2).
     """
+    if not motion.has_extent:
+        return motion
     l1, l2, l3 = motion.cholesky.unbind(-1)
     factor = torch.stack([l1.relu() + EPSILON, l2, l3.relu() + EPSILON], dim=-1)
     return Motion(motion.shift, factor)
@@ -164,6 +189,8 @@ def render_floor(motion: Motion, low: Tensor, high: Tensor, start: Motion | None
     Returns:
         Motion with l1, l3 in [0.3 low, 1.5 high], widened to contain the start pose.
     """
+    if not motion.has_extent:
+        return motion
     low, high = FLOOR * low, CEILING * high
     if start is not None:
         diagonal = start.cholesky[..., 0, :, ::2]

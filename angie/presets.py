@@ -6,7 +6,7 @@ import math
 import types
 import typing
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -33,9 +33,25 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Preset:
-    """Sizes and training of every part; the defaults are the papers'."""
+    """Sizes and training of every part; the defaults are the papers'.
+
+    Attributes:
+        name: of the preset.
+        points: joints in place of regions: no renderer, and of the two streams of motion only
+            that of the shift.
+        renderer: sizes; its `regions` are those of every part.
+        vq: sizes.
+        gpt: sizes.
+        refiner: sizes.
+        generation: how motion is generated.
+        train_renderer: how the renderer is trained.
+        train_vq: how the VQ motion extractor is trained.
+        train_gpt: how the GPT is trained.
+        train_refiner: how the refiner is trained.
+    """
 
     name: str = "paper"
+    points: bool = False
     renderer: RendererConfig = field(default_factory=RendererConfig)
     vq: VQConfig = field(default_factory=VQConfig)
     gpt: GPTConfig = field(default_factory=GPTConfig)
@@ -53,6 +69,9 @@ class Preset:
         counts = {self.renderer.regions, self.vq.regions, self.refiner.regions}
         if len(counts) > 1 or self.vq.codes != self.gpt.codes:
             raise BadInput("the parts disagree: regions or codes are set for one part alone")
+        streams = {self.vq.streams, self.gpt.streams, self.refiner.streams}
+        if streams != {1 if self.points else 2}:
+            raise BadInput("the parts disagree: streams is 1 for points, else 2, in every part")
 
 
 def _lite() -> Preset:
@@ -72,6 +91,7 @@ def _lite() -> Preset:
         refiner=RefinerConfig(sound=96, motion=64, hidden=64),
         generation=GenerationConfig(
             bounding="auto",
+            decode="auto",
             window=Window("hop"),
             sampling=Sampling(method="topk", repeat_guard=True),
         ),
@@ -114,6 +134,7 @@ def _tiny() -> Preset:
         refiner=RefinerConfig(regions=10, sound=32, motion=32, hidden=32, layers=1),
         generation=GenerationConfig(
             bounding="auto",
+            decode="auto",
             window=Window("hop"),
             sampling=Sampling(method="topk", repeat_guard=True),
         ),
@@ -147,6 +168,18 @@ def preset(name: str) -> Preset:
     if name not in PRESETS:
         raise BadInput(f"--preset {name}: there are {', '.join(PRESETS)}")
     return PRESETS[name]()
+
+
+def of_points(base: Preset, joints: int) -> Preset:
+    """A preset for motion of joints in place of regions."""
+    return replace(
+        base,
+        points=True,
+        renderer=replace(base.renderer, regions=joints),
+        vq=replace(base.vq, regions=joints, streams=1),
+        gpt=replace(base.gpt, streams=1),
+        refiner=replace(base.refiner, regions=joints, streams=1),
+    )
 
 
 def parse_overrides(arguments: list[str]) -> dict[str, Any]:

@@ -5,7 +5,7 @@ sound and predict residuals of shift and Cholesky factor, M = pattern + residual
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor, nn
@@ -16,6 +16,9 @@ from data_prep.features import MFCC_COLUMNS, MFCC_ROWS
 
 HOP = WINDOW // 2
 """Long sound is refined in windows of the training length, cross-faded."""
+
+
+MFCC_ENCODERS = ("linear", "conv")
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,8 @@ class RefinerConfig:
         hidden: of the LSTM, per direction.
         layers: of the LSTM.
         dropout: between LSTM layers.
+        mfcc_encoder: "linear" (two linear layers) or "conv" (ATVGnet's five convolutions).
+        streams: 2 are shift and Cholesky factor, 1 is shift alone (keypoints).
     """
 
     regions: int = 20
@@ -37,6 +42,48 @@ class RefinerConfig:
     hidden: int = 256
     layers: int = 2
     dropout: float = 0.1
+    mfcc_encoder: str = field(default="linear", metadata={"later": True})
+    streams: int = field(default=2, metadata={"later": True})
+
+    def __post_init__(self) -> None:
+        if self.mfcc_encoder not in MFCC_ENCODERS:
+            names = ", ".join(MFCC_ENCODERS)
+            raise ValueError(f"mfcc_encoder is one of {names}, not {self.mfcc_encoder!r}")
+        if self.streams not in (1, 2):
+            raise ValueError(f"there are 1 or 2 streams of motion, not {self.streams}")
+
+    @property
+    def channels(self) -> list[int]:
+        """Channels of each stream."""
+        return [2 * self.regions, 3 * self.regions][: self.streams]
+
+
+def linear_encoder(channels: int) -> nn.Sequential:
+    """MFCC windows (n, 28 * 12) to (n, channels) by two linear layers."""
+    return nn.Sequential(
+        nn.Linear(MFCC_ROWS * MFCC_COLUMNS, channels),
+        nn.LayerNorm(channels),
+        nn.GELU(),
+        nn.Linear(channels, channels),
+    )
+
+
+def conv_encoder(channels: int) -> nn.Sequential:
+    """MFCC windows (n, 28 * 12) to (n, channels) by ATVGnet's layers.
+
+    Five 3x3 convolutions of 64, 128, 256, 256 and 512 channels; after the second a maximum over
+    3x3 every (1, 2), after the last one over 3x3 every (2, 2): 28x12 becomes 12x2, and 12,288
+    numbers go through 2048 to the result.
+    """
+    layers: list[nn.Module] = [nn.Unflatten(-1, (1, MFCC_ROWS, MFCC_COLUMNS))]
+    width = 1
+    for place, wider in enumerate((64, 128, 256, 256, 512)):
+        layers += [nn.Conv2d(width, wider, 3, padding=1), nn.ReLU()]
+        if place in (1, 4):
+            layers.append(nn.MaxPool2d(3, stride=(1, 2) if place == 1 else (2, 2)))
+        width = wider
+    layers += [nn.Flatten(), nn.Linear(12 * 2 * width, 2048), nn.ReLU(), nn.Linear(2048, channels)]
+    return nn.Sequential(*layers)
 
 
 class StreamRefiner(nn.Module):
@@ -44,12 +91,8 @@ class StreamRefiner(nn.Module):
 
     def __init__(self, channels: int, config: RefinerConfig) -> None:
         super().__init__()
-        self.sound = nn.Sequential(
-            nn.Linear(MFCC_ROWS * MFCC_COLUMNS, config.sound),
-            nn.LayerNorm(config.sound),
-            nn.GELU(),
-            nn.Linear(config.sound, config.sound),
-        )
+        encoders = {"linear": linear_encoder, "conv": conv_encoder}
+        self.sound = encoders[config.mfcc_encoder](config.sound)
         self.motion = nn.Linear(channels, config.motion)
         self.lstm = nn.LSTM(
             config.sound + config.motion,
@@ -65,7 +108,9 @@ class StreamRefiner(nn.Module):
 
     def forward(self, mfcc: Tensor, displacement: Tensor) -> Tensor:
         """MFCC windows (B, T, 28, 12), displacement (B, T, C) to residuals (B, T, C)."""
-        seen = torch.cat([self.sound(mfcc.flatten(-2)), self.motion(displacement)], dim=-1)
+        batch, frames = mfcc.shape[:2]
+        sound = self.sound(mfcc.flatten(-2).flatten(0, 1)).unflatten(0, (batch, frames))
+        seen = torch.cat([sound, self.motion(displacement)], dim=-1)
         hidden, _ = self.lstm(seen)
         return self.out(hidden)
 
@@ -83,7 +128,13 @@ class Refiner(nn.Module):
         super().__init__()
         self.config = config
         self.shift = StreamRefiner(2 * config.regions, config)
-        self.cholesky = StreamRefiner(3 * config.regions, config)
+        if config.streams > 1:
+            self.cholesky = StreamRefiner(3 * config.regions, config)
+
+    @property
+    def streams(self) -> list[StreamRefiner]:
+        """Of shift and, if there is one, of the Cholesky factor."""
+        return [self.shift, self.cholesky] if self.config.streams > 1 else [self.shift]
 
     def forward(self, mfcc: Tensor, pattern: Tensor) -> Tensor:
         """Residuals of a window.
@@ -98,10 +149,9 @@ class Refiner(nn.Module):
         Returns:
             (B, T, 5K) residuals in units of the pose scale.
         """
-        regions = self.config.regions
-        displacement = pattern - pattern[:, :1]
-        shift, cholesky = displacement.split([2 * regions, 3 * regions], dim=-1)
-        return torch.cat([self.shift(mfcc, shift), self.cholesky(mfcc, cholesky)], dim=-1)
+        displacement = (pattern - pattern[:, :1]).split(self.config.channels, dim=-1)
+        parts = zip(self.streams, displacement, strict=True)
+        return torch.cat([stream(mfcc, part) for stream, part in parts], dim=-1)
 
     @torch.no_grad()
     def refine(

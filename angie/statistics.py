@@ -3,7 +3,7 @@
 import difflib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from angie.clips import MotionClip
-from angie.motion import deltas
+from angie.motion import deltas, pack_covariance
 from data_prep.errors import BadInput
 from data_prep.features import MFCC_COLUMNS
 
@@ -25,6 +25,12 @@ ONSET_LIMIT = 5.0
 
 ACTIVE_LEAST, ACTIVE_MOST = 4, 10
 """Fewest and most active regions."""
+
+ANCHORS = 256
+"""Poses kept from calm moments of the training clips, at most."""
+
+CALM = 0.1
+"""Share of the training frames that count as calm."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +55,12 @@ class MotionStatistics:
         onset_scale: (426,) their standard deviation.
         mfcc_mean: (12,) mean of the cepstral coefficients.
         mfcc_scale: (12,) their standard deviation.
+        pose_mean: (5K,) mean pose over all frames; this and what follows is empty in files that
+            were written before it existed.
+        pose_deviation: (5K,) standard deviation of the absolute pose.
+        covariance_scale: (3K,) standard deviation of the change of C, as (c11, c12, c22).
+        calm: (1,) 10th percentile of the activity of a frame.
+        anchors: (n, 5K) displacements in calm frames, n up to 256.
     """
 
     speakers: tuple[str, ...]
@@ -64,11 +76,33 @@ class MotionStatistics:
     onset_scale: Tensor
     mfcc_mean: Tensor
     mfcc_scale: Tensor
+    pose_mean: Tensor = field(default_factory=lambda: torch.zeros(0))
+    pose_deviation: Tensor = field(default_factory=lambda: torch.zeros(0))
+    covariance_scale: Tensor = field(default_factory=lambda: torch.zeros(0))
+    calm: Tensor = field(default_factory=lambda: torch.zeros(0))
+    anchors: Tensor = field(default_factory=lambda: torch.zeros(0, 0))
 
     @property
     def regions(self) -> int:
         """Number of regions K."""
         return self.active.shape[0]
+
+    @property
+    def has_extent(self) -> bool:
+        """Whether there are Cholesky factors; joints have none and 2K channels."""
+        return self.rest.shape[1] > 2 * self.regions
+
+    def place_of(self, speaker: str) -> int:
+        """Place of a speaker in `speakers`.
+
+        Raises:
+            BadInput: the speaker was not in the training set.
+        """
+        if speaker in self.speakers:
+            return self.speakers.index(speaker)
+        near = difflib.get_close_matches(speaker, self.speakers, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(self.speakers)}"
+        raise BadInput(f"{speaker}: not a speaker of this model; {hint}")
 
     def rest_of(self, speaker: str) -> Tensor:
         """Rest pose (5K,) of a speaker of the training set.
@@ -76,11 +110,7 @@ class MotionStatistics:
         Raises:
             BadInput: the speaker was not in the training set.
         """
-        if speaker in self.speakers:
-            return self.rest[self.speakers.index(speaker)]
-        near = difflib.get_close_matches(speaker, self.speakers, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(self.speakers)}"
-        raise BadInput(f"{speaker}: not a speaker of this model; {hint}")
+        return self.rest[self.place_of(speaker)]
 
     def standard_onset(self, onset: Tensor) -> Tensor:
         """Standardise onset features (..., 426), clamped to +-5; the beat one-hot stays raw."""
@@ -110,13 +140,15 @@ class MotionStatistics:
                 about = file.metadata() or {}
                 if about.get("format") != "1":
                     raise BadInput(f"{path}: unknown format of statistics; update the program")
-                tensors = {name: file.get_tensor(name) for name in _TENSORS}
+                there = [name for name in _TENSORS if name not in _LATER or name in file.keys()]
+                tensors = {name: file.get_tensor(name) for name in there}
         except (OSError, SafetensorError) as error:
             raise BadInput(f"{path}: not a statistics file ({error}); train again") from error
         return cls(speakers=tuple(json.loads(about["speakers"])), **tensors)
 
 
-_TENSORS = tuple(field.name for field in fields(MotionStatistics) if field.name != "speakers")
+_TENSORS = tuple(entry.name for entry in fields(MotionStatistics) if entry.name != "speakers")
+_LATER = ("pose_mean", "pose_deviation", "covariance_scale", "calm", "anchors")
 
 
 def _scale(values: np.ndarray, least: float) -> np.ndarray:
@@ -130,6 +162,36 @@ def _active_regions(relative: np.ndarray, regions: int) -> np.ndarray:
     active = np.zeros(regions, bool)
     active[np.argsort(-energy, kind="stable")[:count]] = True
     return active
+
+
+def _diagonals(cholesky: np.ndarray, regions: int) -> np.ndarray:
+    """0.5th and 99.5th percentile (2, K, 2) of (l1, l3) of factors (n, 3K); ones for points."""
+    if not cholesky.shape[1]:
+        return np.ones((2, regions, 2))
+    return np.quantile(cholesky.reshape(-1, regions, 3)[..., ::2], [0.005, 0.995], axis=0)
+
+
+def _covariance_scale(clips: Sequence[MotionClip]) -> np.ndarray:
+    """Standard deviation (3K,) of the change of (c11, c12, c22); empty for points."""
+    if not clips[0].motion.has_extent:
+        return np.zeros(0)
+    changes = [pack_covariance(clip.motion.covariance()).diff(dim=0) for clip in clips]
+    return _scale(torch.cat(changes).numpy(), 1e-7)
+
+
+def _calm(
+    poses: Sequence[np.ndarray], displacement: np.ndarray, scale: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Activity below which a frame is calm, and evenly spaced displacements of calm frames."""
+    moved = [np.diff(pose, axis=0, prepend=pose[:1]) / scale for pose in poses]
+    active = np.sqrt(np.square(np.concatenate(moved)).mean(axis=1))
+    first = np.cumsum([0, *[len(pose) for pose in poses[:-1]]])
+    inside = np.ones(len(active), bool)
+    inside[first] = False  # a clip's first frame has no predecessor
+    calm = float(np.quantile(active[inside], CALM)) if inside.any() else 0.0
+    places = np.flatnonzero(inside & (active <= calm))
+    places = places[np.linspace(0, len(places) - 1, min(ANCHORS, len(places))).astype(int)]
+    return {"calm": np.array([calm]), "anchors": displacement[places]}
 
 
 def measure(clips: Sequence[MotionClip]) -> MotionStatistics:
@@ -150,7 +212,7 @@ def measure(clips: Sequence[MotionClip]) -> MotionStatistics:
     poses = [clip.motion.vector().numpy() for clip in clips]
     relative = np.concatenate([deltas(torch.from_numpy(pose)).numpy()[1:] for pose in poses])
     speakers = tuple(sorted({clip.speaker for clip in clips}))
-    rest = np.zeros((len(speakers), 5 * regions), np.float64)
+    rest = np.zeros((len(speakers), poses[0].shape[1]), np.float64)
     for index, speaker in enumerate(speakers):
         own = [pose for pose, clip in zip(poses, clips, strict=True) if clip.speaker == speaker]
         rest[index] = np.concatenate(own).mean(axis=0, dtype=np.float64)
@@ -158,8 +220,8 @@ def measure(clips: Sequence[MotionClip]) -> MotionStatistics:
         [pose - rest[speakers.index(clip.speaker)] for pose, clip in zip(poses, clips, strict=True)]
     )
     low, high = np.quantile(displacement, [0.002, 0.998], axis=0)
-    factors = np.concatenate(poses)[:, 2 * regions :].reshape(-1, regions, 3)[..., ::2]
-    diagonal_low, diagonal_high = np.quantile(factors, [0.005, 0.995], axis=0)
+    together = np.concatenate(poses)
+    diagonal_low, diagonal_high = _diagonals(together[:, 2 * regions :], regions)
     onset = np.concatenate([clip.features.onset for clip in clips])
     mfcc = np.concatenate([clip.features.mfcc.reshape(-1, MFCC_COLUMNS) for clip in clips])
     arrays = {
@@ -174,6 +236,10 @@ def measure(clips: Sequence[MotionClip]) -> MotionStatistics:
         "onset_scale": _scale(onset, 1e-3),
         "mfcc_mean": mfcc.mean(axis=0, dtype=np.float64),
         "mfcc_scale": _scale(mfcc, 1e-3),
+        "pose_mean": together.mean(axis=0, dtype=np.float64),
+        "pose_deviation": _scale(together, 1e-4),
+        "covariance_scale": _covariance_scale(clips),
+        **_calm(poses, displacement, _scale(relative, 1e-5)),
     }
     tensors = {name: torch.from_numpy(value.astype(np.float32)) for name, value in arrays.items()}
     active = torch.from_numpy(_active_regions(relative, regions))

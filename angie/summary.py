@@ -2,21 +2,23 @@
 
 from typing import Any
 
-from angie.bundle import OPTIONAL, STAGE_OF, UPSTREAM, Bundle
+from angie.bundle import OPTIONAL, STAGE_OF, Bundle
 from data_prep.errors import BadInput
 
 
 def describe(bundle: Bundle) -> str:
     """Several lines: preset, speakers, and each part with its state, data and score."""
     manifest = bundle.manifest
+    points = bundle.preset.points
+    what = f"{bundle.preset.renderer.regions} {'joints' if points else 'regions'}"
+    size = "" if points else f"{manifest['size']}x{manifest['size']} "
     lines = [
         f"bundle      {bundle.folder}",
         f"format      {manifest['format']}, made by angie {manifest['angie']}",
-        f"preset      {manifest['preset']}: {bundle.preset.renderer.regions} regions, "
-        f"{manifest['size']}x{manifest['size']} at {manifest['fps']} fps",
+        f"preset      {manifest['preset']}: {what}, {size}at {manifest['fps']} fps",
         f"speakers    {', '.join(manifest['speakers']) or 'none yet'}",
     ]
-    for part in UPSTREAM:
+    for part in bundle.parts:
         lines.append(f"{part:<12}{_state(bundle, part)}")
     return "\n".join(lines)
 
@@ -58,4 +60,13 @@ def _state(bundle: Bundle, part: str) -> str:
             f"{score['shift']:.4f} (as given {score['given_shift']:.4f}), affine by "
             f"{score['affine']:.4f} (as given {score['given_affine']:.4f})"
         )
+    if "held_out" in report:
+        score = report["held_out"]
+        words.append(
+            f"held-out shifts correlate {score['correlation']:.3f}, "
+            f"perplexity {score['shift_perplexity']:.0f} of {bundle.preset.vq.codes} codes"
+        )
+    if "hearing" in report:
+        right, other = (sum(report["hearing"][name]) for name in ("right", "mismatched"))
+        words.append(f"held-out cross-entropy {right:.2f} nats, {other:.2f} with other sound")
     return "; ".join(words)

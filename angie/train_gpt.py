@@ -4,12 +4,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from angie.gpt import CoSpeechGPT, GPTConfig
+from angie.patterns import encode_windows
 from angie.schedule import BestWeights, Schedule
-from angie.train_vq import encode_windows
 from angie.vq import VQMotionExtractor
-from angie.windows import MotionWindows
+from angie.windows import STRIDE, MotionWindows, check_stride
 from mraa.run import Run, RunConfig
 
 
@@ -21,15 +22,28 @@ class GPTTraining:
         schedule: Adam 3e-4, batch 32, up to 500 epochs, milestones 250 and 400.
         checks: evenly spaced evaluations on the held-out windows.
         patience: evaluations without improvement after which training stops.
+        stride: frames from one training window to the next (Bailando's GPT takes 8).
     """
 
     schedule: Schedule = field(default_factory=lambda: Schedule(rate=3e-4, milestones=(250, 400)))
     checks: int = 100
     patience: int = 20
+    stride: int = STRIDE
 
     def __post_init__(self) -> None:
         if min(self.checks, self.patience) < 1:
             raise ValueError("checks and patience must be positive")
+        check_stride(self.stride)
+
+
+ANYONE = 0.1
+"""Share of the windows in which a joint model is not told who speaks."""
+
+
+def someone(speaker: Tensor, speakers: int) -> Tensor:
+    """Places (B,) of speakers, some at random replaced by anyone's, `speakers`."""
+    hidden = torch.rand(speaker.shape, device=speaker.device) < ANYONE
+    return torch.where(hidden, speakers, speaker)
 
 
 def train_gpt(
@@ -70,7 +84,8 @@ def train_gpt(
     vq = vq.to(run.device)
     windows = code_windows(vq, windows)
     held_out = None if held_out is None else code_windows(vq, held_out)
-    gpt = CoSpeechGPT(config)
+    speakers = len(windows.statistics.speakers)
+    gpt = CoSpeechGPT(config, speakers)
     best = BestWeights(gpt)
     model, optimizer = run.setup(best, schedule.adam(gpt))
     batches = run.batches(windows, schedule.batch)
@@ -82,7 +97,8 @@ def train_gpt(
         run.rate(optimizer, schedule.rate, schedule.milestone_steps(items))
         batch = next(batches)
         codes, onset = batch["codes"], batch["onset"]
-        loss = gpt.loss(model(codes[..., :-1], onset[:, 1:]), codes[..., 1:])
+        who = someone(batch["speaker"], speakers) if config.joint else None
+        loss = gpt.loss(model(codes[..., :-1], onset[:, 1:], who), codes[..., 1:])
         run.backward(loss)
         run.clip(model, optimizer, schedule.clip)
         optimizer.step()
@@ -95,20 +111,38 @@ def train_gpt(
 
 
 def code_windows(vq: VQMotionExtractor, windows: MotionWindows) -> MotionWindows:
-    """Windows with `onset` (12, 426) and their `codes` (2, 12)."""
-    return windows.choose(["onset"], codes=encode_windows(vq, windows))
+    """Windows with `onset` (12, 426), `speaker` and their `codes` (streams, 12)."""
+    return windows.choose(["onset", "speaker"], codes=encode_windows(vq, windows))
+
+
+def cross_entropy(gpt: CoSpeechGPT, windows: MotionWindows) -> float:
+    """Mean cross-entropy, all streams added, of windows with `onset` and `codes`, in nats."""
+    return float(stream_entropies(gpt, windows).sum())
 
 
 @torch.no_grad()
-def cross_entropy(gpt: CoSpeechGPT, windows: MotionWindows, at_once: int = 64) -> float:
-    """Mean cross-entropy, both streams added, of windows with `onset` and `codes`, in nats."""
+def stream_entropies(
+    gpt: CoSpeechGPT, windows: MotionWindows, onset: Tensor | None = None, at_once: int = 64
+) -> Tensor:
+    """Mean cross-entropy (streams,) of the codes 2 to 12 of windows, in nats per code.
+
+    Args:
+        gpt: of any mode, which it keeps.
+        windows: with `onset`, `speaker` and `codes`.
+        onset: (n, 12, 426) other sound in place of the windows' own.
+        at_once: windows computed together.
+    """
     device, training = gpt.positions.device, gpt.training
     gpt.eval()
-    total = 0.0
+    total = torch.zeros(gpt.config.streams, dtype=torch.float64)
     for first in range(0, len(windows), at_once):
-        onset = windows.stack("onset", first, first + at_once).to(device)
-        codes = windows.stack("codes", first, first + at_once).to(device)
-        loss = gpt.loss(gpt(codes[..., :-1], onset[:, 1:]), codes[..., 1:])
-        total += float(loss) * len(codes)
+        last = min(first + at_once, len(windows))
+        sound = windows.stack("onset", first, last) if onset is None else onset[first:last]
+        codes = windows.stack("codes", first, last).to(device)
+        who = windows.stack("speaker", first, last).to(device) if gpt.config.joint else None
+        logits = gpt(codes[..., :-1], sound[:, 1:].to(device), who)
+        for stream in range(len(total)):
+            loss = gpt.loss(logits[:, stream : stream + 1], codes[:, stream : stream + 1, 1:])
+            total[stream] += float(loss) * len(codes)
     gpt.train(training)
     return total / len(windows)

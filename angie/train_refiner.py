@@ -6,12 +6,14 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from angie.motion import integrate
+from angie.direct import DirectMotion
+from angie.motion import Motion
+from angie.patterns import patterns
+from angie.quantisation import Channels
 from angie.refiner import Refiner, RefinerConfig
 from angie.schedule import BestWeights, Schedule
-from angie.train_vq import decode_windows, encode_windows
 from angie.vq import VQMotionExtractor
-from angie.windows import MotionWindows
+from angie.windows import STRIDE, MotionWindows, check_stride
 from mraa.run import Run, RunConfig
 
 
@@ -23,6 +25,8 @@ class RefinerTraining:
         schedule: Adam 1e-4 with betas (0.9, 0.999), batch 32, 100 epochs.
         drifting: share of the windows that get a random linear drift to remove.
         checks: evenly spaced evaluations on the held-out windows.
+        covariance: weight of the mean absolute error of C = L L^T, in units of its mean size.
+        stride: frames from one training window to the next.
     """
 
     schedule: Schedule = field(
@@ -30,35 +34,43 @@ class RefinerTraining:
     )
     drifting: float = 0.5
     checks: int = 50
+    covariance: float = 0.0
+    stride: int = STRIDE
 
     def __post_init__(self) -> None:
-        if self.checks < 1 or not 0 <= self.drifting <= 1:
-            raise ValueError("checks must be positive, drifting a share")
+        if self.checks < 1 or not 0 <= self.drifting <= 1 or self.covariance < 0:
+            raise ValueError("checks must be positive, drifting a share, covariance not negative")
+        check_stride(self.stride)
 
 
-def pattern_windows(vq: VQMotionExtractor, windows: MotionWindows) -> MotionWindows:
-    """Windows with `poses`, `mfcc` and the deltas of their pattern, `deltas` (T, 5K)."""
-    decoded = decode_windows(vq, encode_windows(vq, windows))
-    decoded = decoded * windows.statistics.delta_scale
-    return windows.choose(["poses", "mfcc"], deltas=decoded)
-
-
-def pattern_and_truth(batch: dict[str, Tensor], scale: Tensor) -> tuple[Tensor, Tensor]:
-    """Pattern and true motion (B, T, 5K) of a batch, in units of the pose scale.
+def pattern_windows(vq: VQMotionExtractor | DirectMotion, windows: MotionWindows) -> MotionWindows:
+    """Windows with `poses`, `mfcc` and `pattern` (T, 5K), in units of the pose scale.
 
     The pattern is integrated from the true first frame, as generation does from the photo.
     """
-    truth = batch["poses"][:, 1:]
-    return integrate(batch["deltas"], truth[:, 0]) / scale, truth / scale
+    channels = Channels.of(windows.statistics, vq.config.quant)
+    scale = windows.statistics.pose_scale
+    values, posed = patterns(vq, windows), windows.choose(["poses"])
+    made = []
+    for first in range(0, len(windows), 64):
+        start = posed.stack("poses", first, first + 64)[:, 1]
+        made.append(channels.integrate(values[first : first + 64], start) / scale)
+    return windows.choose(["poses", "mfcc"], pattern=torch.cat(made))
+
+
+def truth_of(batch: dict[str, Tensor], scale: Tensor) -> Tensor:
+    """True motion (B, T, 5K) of a batch in units of the pose scale."""
+    return batch["poses"][:, 1:] / scale
 
 
 def drift_slopes(windows: MotionWindows, at_once: int = 64) -> Tensor:
     """95th percentile (5K,) of the slope, per frame, at which patterns drift from the truth."""
     slopes = []
     for first in range(0, len(windows), at_once):
-        batch = {part: windows.stack(part, first, first + at_once) for part in ("poses", "deltas")}
-        pattern, truth = pattern_and_truth(batch, windows.statistics.pose_scale)
-        slopes.append((pattern - truth)[:, -1].abs() / max(1, truth.shape[1] - 1))
+        batch = {part: windows.stack(part, first, first + at_once) for part in ("poses", "pattern")}
+        truth = truth_of(batch, windows.statistics.pose_scale)
+        off = (batch["pattern"] - truth)[:, -1].abs()
+        slopes.append(off / max(1, truth.shape[1] - 1))
     return torch.cat(slopes).quantile(0.95, dim=0)
 
 
@@ -72,16 +84,31 @@ def add_drift(pattern: Tensor, slopes: Tensor, share: float) -> Tensor:
     return pattern + chosen * slope * place
 
 
-def refiner_loss(residual: Tensor, pattern: Tensor, truth: Tensor) -> Tensor:
-    """Mean absolute error of shift plus that of the Cholesky factor, |M - M^| (equation 10)."""
+def refiner_loss(residual: Tensor, pattern: Tensor, truth: Tensor, shifts: int) -> Tensor:
+    """Mean absolute error of shift plus that of the Cholesky factor, |M - M^| (equation 10).
+
+    The first `shifts` channels are of the shift; there may be no others.
+    """
     error = (pattern + residual.float() - truth).abs()
-    split = error.shape[-1] // 5 * 2
-    return error[..., :split].mean() + error[..., split:].mean()
+    parts = error.split([shifts, error.shape[-1] - shifts], dim=-1)
+    return torch.stack([part.mean() for part in parts if part.shape[-1]]).sum()
+
+
+def covariance_loss(made: Tensor, truth: Tensor, scale: Tensor) -> Tensor:
+    """Mean absolute error of C = L L^T over the mean size of the true C.
+
+    Args:
+        made: (B, T, 5K) motion in units of `scale`.
+        truth: likewise.
+        scale: (5K,).
+    """
+    covariance, target = (Motion.from_vector(v.float() * scale).covariance() for v in (made, truth))
+    return (covariance - target).abs().mean() / target.abs().mean()
 
 
 def train_refiner(
     folder: Path,
-    vq: VQMotionExtractor,
+    vq: VQMotionExtractor | DirectMotion,
     windows: MotionWindows,
     held_out: MotionWindows | None,
     config: RefinerConfig,
@@ -124,9 +151,13 @@ def train_refiner(
     for step in run.steps():
         run.rate(optimizer, schedule.rate, schedule.milestone_steps(items))
         batch = next(batches)
-        pattern, truth = pattern_and_truth(batch, scale)
-        pattern = add_drift(pattern, slopes, training.drifting)
-        loss = refiner_loss(model(batch["mfcc"], pattern), pattern, truth)
+        truth = truth_of(batch, scale)
+        pattern = add_drift(batch["pattern"], slopes, training.drifting)
+        residual = model(batch["mfcc"], pattern)
+        loss = refiner_loss(residual, pattern, truth, config.channels[0])
+        if training.covariance:
+            error = covariance_loss(pattern + residual, truth, scale)
+            loss = loss + training.covariance * error
         run.backward(loss)
         run.clip(model, optimizer, schedule.clip)
         optimizer.step()
@@ -146,10 +177,11 @@ def held_out_loss(refiner: Refiner, windows: MotionWindows, at_once: int = 64) -
     refiner.eval()
     total = 0.0
     for first in range(0, len(windows), at_once):
-        parts = ("poses", "mfcc", "deltas")
+        parts = ("poses", "mfcc", "pattern")
         batch = {part: windows.stack(part, first, first + at_once) for part in parts}
-        pattern, truth = (value.to(device) for value in pattern_and_truth(batch, scale))
+        pattern, truth = batch["pattern"].to(device), truth_of(batch, scale).to(device)
         residual = refiner(batch["mfcc"].to(device), pattern)
-        total += float(refiner_loss(residual, pattern, truth)) * len(pattern)
+        loss = refiner_loss(residual, pattern, truth, refiner.config.channels[0])
+        total += float(loss) * len(pattern)
     refiner.train(training)
     return total / len(windows)

@@ -6,11 +6,11 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from angie.drift import activity
-from angie.motion import deltas
+from angie.patterns import STREAMS, mean_for_activity, patterns, reconstruction
+from angie.quantisation import Channels
 from angie.schedule import Schedule
 from angie.vq import VQConfig, VQMotionExtractor
-from angie.windows import MotionWindows
+from angie.windows import STRIDE, MotionWindows, check_stride
 from mraa.run import Run, RunConfig
 
 
@@ -22,21 +22,28 @@ class VQTraining:
         schedule: Adam 3e-5, batch 32, 500 epochs.
         commitment: weight of the commitment loss (b1 and b2 of equation 9).
         latent: weight of the codebook loss, which is zero under EMA.
+        stride: frames from one training window to the next.
+        still_share: largest share of the windows in which nothing moves; 1 keeps all.
+        checks: evenly spaced evaluations on the held-out windows, for the curves.
     """
 
     schedule: Schedule = field(default_factory=lambda: Schedule(rate=3e-5))
     commitment: float = 0.1
     latent: float = 1.0
+    stride: int = STRIDE
+    still_share: float = 1.0
+    checks: int = 50
 
-
-def normalised_deltas(poses: Tensor, scale: Tensor) -> Tensor:
-    """Deltas (B, T, 5K) of windows with a leading frame (B, T + 1, 5K), in units of `scale`."""
-    return deltas(poses)[:, 1:] / scale
+    def __post_init__(self) -> None:
+        if self.checks < 1 or not 0 < self.still_share <= 1:
+            raise ValueError("checks must be positive, still_share a share above 0")
+        check_stride(self.stride)
 
 
 def train_vq(
     folder: Path,
     windows: MotionWindows,
+    held_out: MotionWindows | None,
     config: VQConfig,
     training: VQTraining,
     *,
@@ -52,6 +59,8 @@ def train_vq(
     Args:
         folder: where checkpoint and curves go.
         windows: training windows; `poses` is used.
+        held_out: windows of other clips, to watch reconstruction and use of the codes on; or
+            None.
         config: architecture.
         training: how to train.
         seed: everything random follows from it.
@@ -61,66 +70,41 @@ def train_vq(
     Returns:
         The trained extractor in evaluation mode, its `mean` measured.
     """
-    windows = windows.choose(["poses"])
+    windows = windows.thinned(training.still_share).choose(["poses"])
     schedule, items = training.schedule, len(windows)
     steps = schedule.steps(items)
     run = Run(folder, "vq", steps=steps, seed=seed, config=run_config, resume=resume)
     vq = VQMotionExtractor(config)
     model, optimizer = run.setup(vq, schedule.adam(vq))
     batches = run.batches(windows, schedule.batch)
-    scale = windows.statistics.delta_scale.to(run.device)
-    split = 2 * config.regions
+    channels = Channels.of(windows.statistics, config.quant).to(run.device)
+    every = max(1, steps // training.checks)
     model.train()
-    for _ in run.steps():
+    for step in run.steps():
         run.rate(optimizer, schedule.rate, schedule.milestone_steps(items))
-        target = normalised_deltas(next(batches)["poses"], scale)
+        target = channels.normalise(next(batches)["poses"])
         result = model(target)
-        error = (result.deltas.float() - target).abs()
-        shift, cholesky = error[..., :split].mean(), error[..., split:].mean()
-        loss = shift + cholesky
+        errors = stream_errors(result.deltas.float(), target, config)
+        loss = torch.stack(list(errors.values())).sum()
         loss = loss + training.commitment * result.commitment + training.latent * result.latent
         run.backward(loss)
         run.clip(model, optimizer, schedule.clip)
         optimizer.step()
         optimizer.zero_grad()
-        run.log(
-            loss=loss,
-            shift=shift,
-            cholesky=cholesky,
-            commitment=result.commitment,
-            shift_perplexity=vq.shift.codebook.perplexity(),
-            cholesky_perplexity=vq.cholesky.codebook.perplexity(),
-        )
+        use = {}
+        for name, stream in zip(STREAMS, vq.streams, strict=False):
+            use[f"{name}_perplexity"] = stream.codebook.perplexity()
+            use[f"{name}_used"] = stream.codebook.used()
+        if held_out is not None and (step + 1) % every == 0 and run.fabric.global_rank == 0:
+            for name, value in reconstruction(vq, held_out).items():
+                run.curves.add_scalar(f"held_out_{name}", value, step)
+        run.log(loss=loss, **errors, commitment=result.commitment, **use)
     vq.eval()
-    vq.mean.copy_(decoded_mean(vq, windows))
+    vq.mean.copy_(mean_for_activity(patterns(vq, windows).split(64)))
     return vq.cpu()
 
 
-@torch.no_grad()
-def encode_windows(vq: VQMotionExtractor, windows: MotionWindows, at_once: int = 64) -> Tensor:
-    """Codes (n, 2, 12) on the CPU of all windows."""
-    windows = windows.choose(["poses"])
-    scale = windows.statistics.delta_scale
-    codes = []
-    for first in range(0, len(windows), at_once):
-        poses = windows.stack("poses", first, first + at_once)
-        codes.append(vq.encode(normalised_deltas(poses, scale).to(vq.mean.device)).cpu())
-    return torch.cat(codes)
-
-
-@torch.no_grad()
-def decode_windows(vq: VQMotionExtractor, codes: Tensor, at_once: int = 64) -> Tensor:
-    """Normalised deltas (n, T, 5K) on the CPU of codes (n, 2, S)."""
-    parts = [vq.decode(group.to(vq.mean.device)).float().cpu() for group in codes.split(at_once)]
-    return torch.cat(parts)
-
-
-def decoded_mean(vq: VQMotionExtractor, windows: MotionWindows) -> Tensor:
-    """Sum (5K,) of the windows' decoded deltas, normalised, divided by their summed activity."""
-    total = torch.zeros_like(vq.mean, device="cpu", dtype=torch.float64)
-    moved = 0.0
-    for group in encode_windows(vq, windows).split(64):
-        decoded = decode_windows(vq, group).double()
-        total += decoded.sum(dim=(0, 1))
-        moved += float(activity(decoded).sum())
-    return (total / max(moved, 1e-12)).to(vq.mean)
+def stream_errors(made: Tensor, target: Tensor, config: VQConfig) -> dict[str, Tensor]:
+    """Mean absolute error of each stream of (B, T, 5K), by its name."""
+    parts = (made - target).abs().split(config.channels, dim=-1)
+    return {name: part.mean() for name, part in zip(STREAMS, parts, strict=False)}

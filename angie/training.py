@@ -1,25 +1,24 @@
 """Training a speaker bundle: renderer, motion, VQ, GPT, refiner, in this order; AVD if asked."""
 
-import dataclasses
 import hashlib
-import shutil
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from lightning_fabric import Fabric
-from torch import nn
 
-from angie.bundle import OPTIONAL, STAGE_OF, UPSTREAM, Bundle
+from angie.bundle import OPTIONAL, STAGE_OF, TRAIN, UPSTREAM, Bundle
 from angie.clips import MotionClip, read_clips
 from angie.extraction import extract_dataset
-from angie.gpt import CoSpeechGPT
+from angie.keypoints import INDEX, KeypointDataset
 from angie.motion import Motion, read_motion
-from angie.presets import Preset, override
-from angie.refiner import Refiner
+from angie.opening import open_or_create
+from angie.presets import Preset, of_points
+from angie.reports import gpt_report, vq_report
 from angie.statistics import MotionStatistics, measure
 from angie.train_avd import recovery, train_avd
+from angie.train_direct import train_direct
 from angie.train_gpt import train_gpt
 from angie.train_refiner import train_refiner
 from angie.train_vq import train_vq
@@ -27,17 +26,15 @@ from angie.vq import VQMotionExtractor
 from angie.windows import WINDOW, MotionWindows
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
-from data_prep.output import check_apart, check_output
+from data_prep.output import check_apart
 from data_prep.progress import console
 from data_prep.rates import FPS
 from data_prep.speaker import FACE_DOWN, SIDE_IN_FACES
 from mraa.allocator import keep_memory
 from mraa.image_metrics import PerceptualDistance
 from mraa.reconstruction import reconstruct
-from mraa.renderer import Renderer, make_avd
 from mraa.run import RunConfig, launch, native_precision
-from mraa.training import load_initial, train_renderer
-from mraa.vgg import load_vgg19
+from mraa.training import train_renderer
 
 PART_OF = {STAGE_OF.get(part, part): part for part in UPSTREAM}
 """Part of the bundle that each stage of training makes, in their order."""
@@ -52,7 +49,7 @@ HELD_OUT = 10
 class Trainer:
     """What every stage needs: the data, the bundle, the seed and how to run."""
 
-    dataset: Dataset
+    dataset: Dataset | KeypointDataset
     bundle: Bundle
     seed: int
     run: RunConfig
@@ -94,6 +91,7 @@ class Trainer:
 
     def renderer(self) -> None:
         """Train the renderer and measure its self-reconstruction on the test clips."""
+        assert isinstance(self.dataset, Dataset)  # joints have no renderer
         preset = self.bundle.preset
         renderer = train_renderer(
             self.dataset,
@@ -119,11 +117,13 @@ class Trainer:
         self.publish("renderer", renderer.state_dict, **report)
 
     def motion(self) -> None:
-        """Measure the region motion of all clips and its statistics."""
+        """Measure the motion of all clips, if it is not given, and its statistics."""
         path = self.bundle.train / "statistics.safetensors"
 
         def make() -> Path:
-            self.extract()
+            if isinstance(self.dataset, Dataset):
+                self.extract()
+            path.parent.mkdir(parents=True, exist_ok=True)
             measure(self.clips("train")).save(path)
             return path
 
@@ -132,28 +132,47 @@ class Trainer:
 
     def extract(self) -> None:
         """Measure the region motion of all clips that have not been measured yet."""
+        assert isinstance(self.dataset, Dataset)  # joints are given
         estimator = self.bundle.renderer().estimator.to(self.fabric.device)
         extract_dataset(self.dataset, estimator, self.motion_folder, self.motion_identity)
 
     def vq(self) -> None:
-        """Train the VQ motion extractor."""
+        """Train the VQ motion extractor, or the regression in its place without codes."""
         preset = self.bundle.preset
-        windows, _ = self.windows()
+        stride = preset.train_vq.stride
+        if preset.vq.quant == "no_quant":
+            windows, held_out = self.windows(preset.train_gpt.stride)
+            direct = train_direct(
+                self.bundle.train,
+                windows,
+                held_out,
+                preset.vq,
+                preset.gpt,
+                preset.train_gpt,
+                seed=self.seed,
+                run_config=self.how("vq"),
+                resume=self.resume,
+            )
+            self.publish("vq", direct.state_dict)
+            return
+        windows, held_out = self.windows(stride)
         vq = train_vq(
             self.bundle.train,
             windows,
+            held_out,
             preset.vq,
             preset.train_vq,
             seed=self.seed,
             run_config=self.how("vq"),
             resume=self.resume,
         )
-        self.publish("vq", vq.state_dict)
+        self.publish("vq", vq.state_dict, **vq_report(vq, windows, held_out))
 
     def gpt(self) -> None:
         """Train the co-speech GPT on the codes of the VQ motion extractor."""
         preset, vq = self.bundle.preset, self.bundle.vq()
-        windows, held_out = self.windows()
+        assert isinstance(vq, VQMotionExtractor)  # without codes there is no such stage
+        windows, held_out = self.windows(preset.train_gpt.stride)
         gpt = train_gpt(
             self.bundle.train,
             vq,
@@ -165,12 +184,12 @@ class Trainer:
             run_config=self.how("gpt"),
             resume=self.resume,
         )
-        self.publish("gpt", gpt.state_dict)
+        self.publish("gpt", gpt.state_dict, **gpt_report(gpt, vq.cpu(), windows, held_out))
 
     def refiner(self) -> None:
         """Train the refiner on the patterns of the VQ motion extractor."""
         preset, vq = self.bundle.preset, self.bundle.vq()
-        windows, held_out = self.windows()
+        windows, held_out = self.windows(preset.train_refiner.stride)
         refiner = train_refiner(
             self.bundle.train,
             vq,
@@ -203,7 +222,7 @@ class Trainer:
         tests = self.motions("test")
         if tests and self.fabric.global_rank == 0:
             score = recovery(avd, tests, preset.renderer, preset.train_avd.scale)
-            report["recovery"] = dataclasses.asdict(score)
+            report["recovery"] = asdict(score)
             console.print(f"avd, on held-out clips: {score}", soft_wrap=True)
         self.publish("avd", avd.state_dict, **report)
 
@@ -219,6 +238,8 @@ class Trainer:
 
     def clips(self, split: str) -> list[MotionClip]:
         """Motion and features of a split."""
+        if isinstance(self.dataset, KeypointDataset):
+            return self.dataset.motion_clips(split)
         return read_clips(self.dataset, self.motion_folder, split, self.motion_identity)
 
     def motions(self, split: str) -> list[Motion]:
@@ -228,28 +249,39 @@ class Trainer:
             for clip in self.dataset.clips(split)
         ]
 
-    def windows(self) -> tuple[MotionWindows, MotionWindows | None]:
+    def windows(self, stride: int) -> tuple[MotionWindows, MotionWindows | None]:
         """Training windows, and those of every tenth training clip to choose weights by.
 
         The test split stays out of training altogether.
+
+        Args:
+            stride: frames from one training window to the next; the others are 32 apart.
         """
         statistics: MotionStatistics = self.bundle.statistics()
         clips = self.clips("train")
         long = [clip for clip in clips if clip.motion.frames >= WINDOW]
         if len(long) < HELD_OUT:
-            return MotionWindows(clips, statistics), None
+            return MotionWindows(clips, statistics, stride=stride), None
         kept = {clip.name for clip in long[HELD_OUT - 1 :: HELD_OUT]}
+        others = [clip for clip in clips if clip.name not in kept]
         return (
-            MotionWindows([clip for clip in clips if clip.name not in kept], statistics),
+            MotionWindows(others, statistics, stride=stride),
             MotionWindows([clip for clip in clips if clip.name in kept], statistics),
         )
 
     def how(self, part: str, precision: str = "32-true") -> RunConfig:
         """How to run a stage; those of motion are small and stay in float32."""
-        upstream = [self.bundle.hash_of(name) for name in UPSTREAM[part]]
+        upstream = [self.bundle.hash_of(name) for name in self.bundle.upstream(part)]
         words = [part, self.bundle.sizes_of(part), str(self.seed), self.data_digest, *upstream]
         identity = hashlib.sha256(" ".join(words).encode()).hexdigest()
         return replace(self.run, precision=precision, identity=identity)
+
+
+def open_data(folder: Path, output: Path) -> Dataset | KeypointDataset:
+    """A dataset of videos, or one of joints if the folder holds `clips.csv`."""
+    if (folder / INDEX).is_file():
+        return KeypointDataset(folder, output / TRAIN / "features")
+    return Dataset(folder)
 
 
 def train(
@@ -267,7 +299,7 @@ def train(
     """Train the stages of a speaker bundle.
 
     Args:
-        dataset: folder that `angie prepare` made.
+        dataset: folder that `angie prepare` made, or a folder of joints (`angie.keypoints`).
         output: folder of the bundle.
         preset: sizes; for a bundle that exists already its own are kept.
         changes: settings that differ from the preset (or from the bundle's own).
@@ -284,18 +316,22 @@ def train(
     if stage not in (*STAGES, "all"):
         raise BadInput(f"--stage {stage}: there are {', '.join(STAGES)} and all")
     check_apart(output, [dataset])
-    data = Dataset(dataset)
+    data = open_data(dataset, output)
     if not data.clips("train"):
         raise BadInput(f"{dataset}: has no clips to train on; prepare more videos")
+    if isinstance(data, KeypointDataset):
+        preset = None if preset is None else of_points(preset, data.joints())
     run = run or RunConfig()
     if run.precision == "auto":
         run = replace(run, precision=native_precision(run.device))
     fabric = launch(run)
     if fabric.global_rank == 0:
-        _open_or_create(Path(output), preset, changes or {}, stage, resume, force)
+        open_or_create(Path(output), preset, changes or {}, stage, resume, force)
     fabric.barrier()
     keep_memory()
     trainer = Trainer(data, Bundle.open(output), seed, run, resume, fabric)
+    if isinstance(data, KeypointDataset) != trainer.bundle.preset.points:
+        raise BadInput(f"{output}: regions and joints do not mix; name another folder")
     for name in _stages(stage, trainer.bundle):
         if stage == "all" and resume and trainer.bundle.has(PART_OF[name]):
             trainer.check_dataset(PART_OF[name])
@@ -307,74 +343,17 @@ def train(
 
 
 def _stages(stage: str, bundle: Bundle) -> list[str]:
-    """Stages to run for `--stage`; the motion of an imported renderer is measured by the way."""
+    """Stages to run for `--stage`; the motion of an imported renderer is measured by the way.
+
+    Raises:
+        BadInput: a stage that a model of joints, or one without codes, does not have.
+    """
+    stages = [name for name in STAGES if PART_OF[name] in bundle.parts]
+    if stage not in (*stages, "all"):
+        raise BadInput(f"--stage {stage}: this bundle has {', '.join(stages)}")
     if stage == "vq" and not bundle.has("statistics"):
         return ["motion", "vq"]
     if stage != "all":
         return [stage]
     with_avd = bundle.preset.train_avd.with_all
-    return [name for name in STAGES if with_avd or PART_OF[name] not in OPTIONAL]
-
-
-def _try_out(settings: Preset) -> None:
-    """Build every part once: sizes that do not fit are told before anything is trained.
-
-    Raises:
-        BadInput: which part cannot be built, or initial weights that cannot be loaded.
-    """
-    parts: dict[str, Callable[[], nn.Module]] = {
-        "renderer": lambda: Renderer(settings.renderer),
-        "avd": lambda: make_avd(settings.renderer),
-        "vq": lambda: VQMotionExtractor(settings.vq),
-        "gpt": lambda: CoSpeechGPT(settings.gpt),
-        "refiner": lambda: Refiner(settings.refiner),
-    }
-    for name, build in parts.items():
-        try:
-            model = build()
-        except (ValueError, RuntimeError, ArithmeticError, AssertionError, LookupError) as error:
-            reason = " ".join(str(error).split()) or type(error).__name__
-            raise BadInput(f"{name}: no network can have these sizes ({reason})") from error
-        if any(weights.numel() == 0 for weights in model.parameters()):
-            raise BadInput(f"{name}: no network can have these sizes (a width of 0)")
-        if isinstance(model, Renderer) and settings.train_renderer.initial:
-            load_initial(model, Path(settings.train_renderer.initial))
-
-
-def _open_or_create(
-    output: Path,
-    preset: Preset | None,
-    changes: dict[str, Any],
-    stage: str,
-    resume: bool,
-    force: bool,
-) -> Bundle:
-    exists = (output / "bundle.json").exists()
-    if not exists or (force and not resume):
-        settings = override(preset or Preset(), changes)
-        if stage not in ("all", "renderer"):
-            raise BadInput(f"{output}: has no renderer yet; run angie train --stage renderer first")
-        _try_out(settings)
-        if settings.train_renderer.perceptual_weights:
-            load_vgg19(Path(settings.train_renderer.perceptual_weights))
-        if not exists and output.is_dir() and any(output.iterdir()):
-            raise BadInput(f"{output}: holds other files; name a new folder for the bundle")
-        check_output(output, force=output.is_dir())
-        if exists:
-            shutil.rmtree(output)
-        return Bundle.create(output, settings)
-    check_output(output / "bundle.json", force=True)
-    if not resume and stage == "all":
-        raise BadInput(f"{output}: exists already; go on with --resume or start anew with --force")
-    bundle = Bundle.open(output)
-    if preset is not None and preset.name != bundle.preset.name:
-        raise BadInput(
-            f"{output}: made with --preset {bundle.preset.name}; leave --preset out to go on"
-        )
-    if changes:
-        changed = override(bundle.preset, changes)
-        _try_out(changed)
-        bundle.preset = changed
-        bundle.manifest["config"] = dataclasses.asdict(bundle.preset)
-        bundle.write()
-    return bundle
+    return [name for name in stages if with_avd or PART_OF[name] not in OPTIONAL]

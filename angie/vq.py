@@ -5,13 +5,14 @@ Cholesky factor (3K channels): ANGIE (NeurIPS 2022), sections 3.2 and 3.3; the l
 Bailando's motion VQ-VAE. Deltas are in units of their training standard deviation.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor, nn
 
 from angie.codebook import Codebook, Quantized
 from angie.overlap import cross_fade
+from angie.quantisation import QUANTS
 from angie.windows import WINDOW_TOKENS
 from data_prep.rates import FRAMES_PER_TOKEN
 
@@ -38,6 +39,9 @@ class VQConfig:
         update: codebook update, "ema" or "loss" (equation 9 literally).
         decay: of the codebook's moving averages.
         restart_below: moving count below which an entry restarts.
+        quant: what is quantised, "full" or a variant of the paper's Table 3; see
+            `angie.quantisation`.
+        streams: 2 are shift and Cholesky factor, 1 is shift alone (keypoints).
     """
 
     regions: int = 20
@@ -47,6 +51,19 @@ class VQConfig:
     update: str = "ema"
     decay: float = 0.99
     restart_below: float = 1.0
+    quant: str = field(default="full", metadata={"later": True})
+    streams: int = field(default=2, metadata={"later": True})
+
+    def __post_init__(self) -> None:
+        if self.quant not in QUANTS:
+            raise ValueError(f"quant is one of {', '.join(QUANTS)}, not {self.quant!r}")
+        if self.streams not in (1, 2):
+            raise ValueError(f"there are 1 or 2 streams of codes, not {self.streams}")
+
+    @property
+    def channels(self) -> list[int]:
+        """Channels of each stream."""
+        return [2 * self.regions, 3 * self.regions][: self.streams]
 
 
 @dataclass
@@ -55,7 +72,7 @@ class Reconstruction:
 
     Attributes:
         deltas: (B, T, 5K) reconstructed deltas, normalised; T is a multiple of 8.
-        codes: (B, 2, S) int64, shift stream first.
+        codes: (B, streams, S) int64, shift stream first.
         commitment: () commitment losses of the two streams, added.
         latent: () codebook losses of the two streams, added; zero under EMA.
     """
@@ -152,36 +169,41 @@ class VQMotionExtractor(nn.Module):
         super().__init__()
         self.config = config
         self.shift = VQStream(2 * config.regions, config)
-        self.cholesky = VQStream(3 * config.regions, config)
-        self.register_buffer("mean", torch.zeros(5 * config.regions))
+        if config.streams > 1:
+            self.cholesky = VQStream(3 * config.regions, config)
+        self.register_buffer("mean", torch.zeros(sum(config.channels)))
         """(5K,) long-run mean of decoded deltas for each unit of activity; drift bounding."""
+
+    @property
+    def streams(self) -> list[VQStream]:
+        """Shift and, if there is one, Cholesky stream."""
+        return [self.shift, self.cholesky] if self.config.streams > 1 else [self.shift]
 
     def forward(self, deltas: Tensor) -> Reconstruction:
         """Encode, quantise and decode normalised deltas (B, T, 5K)."""
-        regions = self.config.regions
-        shift, cholesky = deltas.split([2 * regions, 3 * regions], dim=-1)
-        shift, shift_codes = self.shift(shift)
-        cholesky, cholesky_codes = self.cholesky(cholesky)
+        parts = deltas.split(self.config.channels, dim=-1)
+        results = [stream(part) for stream, part in zip(self.streams, parts, strict=True)]
+        quantized = [codes for _, codes in results]
         return Reconstruction(
-            deltas=torch.cat([shift, cholesky], dim=-1),
-            codes=torch.stack([shift_codes.codes, cholesky_codes.codes], dim=1),
-            commitment=shift_codes.commitment + cholesky_codes.commitment,
-            latent=shift_codes.latent + cholesky_codes.latent,
+            deltas=torch.cat([made for made, _ in results], dim=-1),
+            codes=torch.stack([one.codes for one in quantized], dim=1),
+            commitment=torch.stack([one.commitment for one in quantized]).sum(),
+            latent=torch.stack([one.latent for one in quantized]).sum(),
         )
 
     def encode(self, deltas: Tensor) -> Tensor:
-        """Codes (B, 2, T // 8) int64 of normalised deltas (B, T, 5K)."""
-        regions = self.config.regions
-        shift, cholesky = deltas.split([2 * regions, 3 * regions], dim=-1)
-        return torch.stack([self.shift.encode(shift), self.cholesky.encode(cholesky)], dim=1)
+        """Codes (B, streams, T // 8) int64 of normalised deltas (B, T, 5K)."""
+        parts = deltas.split(self.config.channels, dim=-1)
+        codes = [stream.encode(part) for stream, part in zip(self.streams, parts, strict=True)]
+        return torch.stack(codes, dim=1)
 
     def decode(self, codes: Tensor) -> Tensor:
-        """Normalised deltas (B, 8S, 5K) of codes (B, 2, S)."""
-        shift, cholesky = codes.unbind(1)
-        return torch.cat([self.shift.decode(shift), self.cholesky.decode(cholesky)], dim=-1)
+        """Normalised deltas (B, 8S, 5K) of codes (B, streams, S)."""
+        parts = zip(self.streams, codes.unbind(1), strict=True)
+        return torch.cat([stream.decode(part) for stream, part in parts], dim=-1)
 
     def decode_whole(self, codes: Tensor) -> Tensor:
-        """Deltas (8S, 5K) on the CPU of one sequence of codes (2, S), as if decoded in one pass.
+        """Deltas (8S, 5K) on the CPU of one sequence of codes (streams, S), as in one pass.
 
         A frame depends on fewer than 27 codes on either side, so blocks of 128 with those around
         them give the same, and memory beside the result does not grow with S.
@@ -197,7 +219,7 @@ class VQMotionExtractor(nn.Module):
     def decode_chunked(
         self, codes: Tensor, window: int = WINDOW_TOKENS, hop: int = WINDOW_TOKENS // 2
     ) -> Tensor:
-        """Deltas (8S, 5K) on the CPU of one sequence of codes (2, S), in windows as in training.
+        """Deltas (8S, 5K) on the CPU of one sequence (streams, S), in windows as in training.
 
         Windows of 12 codes every 6 are decoded by themselves and cross-faded linearly, so that no
         frame sees more context than in training, and memory does not grow with S.
@@ -212,6 +234,6 @@ class VQMotionExtractor(nn.Module):
         return cross_fade(frames, size * FRAMES_PER_TOKEN, hop * FRAMES_PER_TOKEN, compute)
 
     def start_codes(self, window: int = WINDOW_TOKENS) -> Tensor:
-        """Codes (2,) of a person who does not move: the first of a window of zero deltas."""
-        frames, channels = window * FRAMES_PER_TOKEN, 5 * self.config.regions
+        """Codes (streams,) of a person who does not move: the first of a window of zero deltas."""
+        frames, channels = window * FRAMES_PER_TOKEN, sum(self.config.channels)
         return self.encode(torch.zeros(1, frames, channels, device=self.mean.device))[0, :, 0]

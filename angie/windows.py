@@ -7,6 +7,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from angie.clips import MotionClip
+from angie.drift import activity
 from angie.statistics import MotionStatistics
 from data_prep.errors import BadInput
 from data_prep.rates import FRAMES_PER_TOKEN
@@ -17,8 +18,21 @@ WINDOW = 96
 WINDOW_TOKENS = WINDOW // FRAMES_PER_TOKEN
 """Codes of a window."""
 
+STILL = 0.1
+"""Mean activity below which a window is still, in units of the training deviation."""
+
 STRIDE = 32
 """Frames from one training window to the next (ANGIE, section 4)."""
+
+
+def check_stride(stride: int) -> None:
+    """Refuse a stride that is no whole number of tokens.
+
+    Raises:
+        ValueError: not a positive multiple of 8.
+    """
+    if stride < 1 or stride % FRAMES_PER_TOKEN:
+        raise ValueError(f"stride is a multiple of {FRAMES_PER_TOKEN} frames, not {stride}")
 
 
 class MotionWindows(Dataset[dict[str, Tensor]]):
@@ -29,6 +43,7 @@ class MotionWindows(Dataset[dict[str, Tensor]]):
             first frame of a clip it repeats that frame, so the first delta is zero.
         onset: (12, 426) standardised onset features of the window's tokens.
         mfcc: (96, 28, 12) standardised MFCC windows of its frames.
+        speaker: () int64, place of the clip's speaker in the statistics' speakers.
     and one row of every tensor in `rows`. Windows begin on whole tokens.
 
     Args:
@@ -77,9 +92,39 @@ class MotionWindows(Dataset[dict[str, Tensor]]):
 
     def choose(self, parts: Sequence[str], **rows: Tensor) -> "MotionWindows":
         """The same windows with other parts and other precomputed rows."""
-        return MotionWindows(
+        chosen = MotionWindows(
             self.clips, self.statistics, parts, self.frames, self.stride, dict(rows)
         )
+        chosen.places = self.places
+        return chosen
+
+    def thinned(self, share: float) -> "MotionWindows":
+        """Without the still windows that are more than `share` of what is kept.
+
+        A window is still when its deltas, in units of their training deviation, are below 0.1 in
+        the mean. What is left out is spread evenly over the still windows.
+        """
+        if share >= 1:
+            return self
+        moved = torch.tensor([self._activity(*place) for place in self.places])
+        still = (moved < STILL).nonzero().flatten()
+        wanted = int(share / (1 - share) * (len(moved) - len(still)))
+        if len(still) <= wanted or len(still) == len(moved):
+            return self
+        kept = moved >= STILL
+        kept[still[torch.linspace(0, len(still) - 1, wanted).long()]] = True
+        return self.chosen(kept.nonzero().flatten().tolist())
+
+    def chosen(self, indices: Sequence[int]) -> "MotionWindows":
+        """Some of the windows, with their parts and rows."""
+        fewer = self.choose(self.parts)
+        fewer.places = [self.places[i] for i in indices]
+        fewer.rows = {name: rows[list(indices)] for name, rows in self.rows.items()}
+        return fewer
+
+    def _activity(self, index: int, first: int) -> float:
+        change = self._poses(self.clips[index], first).diff(dim=0) / self.statistics.delta_scale
+        return float(activity(change).mean())
 
     def _poses(self, clip: MotionClip, first: int) -> Tensor:
         motion = clip.motion[max(first - 1, 0) : first + self.frames].vector()
@@ -89,6 +134,9 @@ class MotionWindows(Dataset[dict[str, Tensor]]):
         token, tokens = first // FRAMES_PER_TOKEN, self.frames // FRAMES_PER_TOKEN
         onset = torch.as_tensor(clip.features.onset[token : token + tokens])
         return self.statistics.standard_onset(onset)
+
+    def _speaker(self, clip: MotionClip, first: int) -> Tensor:
+        return torch.tensor(self.statistics.place_of(clip.speaker))
 
     def _mfcc(self, clip: MotionClip, first: int) -> Tensor:
         mfcc = torch.as_tensor(clip.features.mfcc[first : first + self.frames])

@@ -11,8 +11,8 @@ from angie.bundle import Bundle
 from angie.clips import MotionClip
 from angie.evaluation.space import RegionSpace, onsets_within
 from angie.generator import AngieGenerator
-from angie.motion import Motion, deltas, positive
-from data_prep.rates import FRAMES_PER_TOKEN, tokens_covering
+from angie.motion import Motion, positive
+from data_prep.rates import FRAMES_PER_TOKEN
 
 WINDOW = 96
 """Frames of a piece of the nearest sound: a training window of ANGIE."""
@@ -177,16 +177,6 @@ def _nearest(piece: NDArray, shelf: list[MotionClip], sounds: list[NDArray]) -> 
     return vector[first : first + size] - vector.mean(0)
 
 
-def truth_codes(generator: AngieGenerator, motion: Motion) -> torch.Tensor:
-    """Codes (2, S) of recorded motion, its deltas continued with stillness to whole tokens."""
-    tokens = tokens_covering(motion.frames)
-    relative = deltas(motion.vector()) / generator.statistics.delta_scale
-    missing = tokens * FRAMES_PER_TOKEN - motion.frames
-    padded = torch.cat([relative, relative.new_zeros(missing, relative.shape[1])])
-    device = generator.vq.mean.device
-    return generator.vq.encode(padded[None].to(device))[0].cpu()
-
-
 def generated(
     space: RegionSpace,
     bundle: Bundle,
@@ -217,10 +207,8 @@ def generated(
     for seed in seeds if random else seeds[:1]:
         run = []
         for clip in space.test:
-            codes = None
-            if start == "truth":
-                first = clip.motion[:WINDOW]
-                codes = truth_codes(generator, first)[:, :1]
+            codes = generator.codes_of(clip.motion[:WINDOW]) if start == "truth" else None
+            codes = None if codes is None else codes[:, :1]
             motion = generator.generate(
                 clip.features,
                 clip.motion[:1],
@@ -252,5 +240,5 @@ def reconstructed(generator: AngieGenerator, clip: MotionClip) -> Motion:
         clip.motion[:1],
         clip.motion.frames,
         speaker=known_speaker(generator, clip.speaker),
-        start_codes=truth_codes(generator, clip.motion),
+        start_codes=generator.codes_of(clip.motion),
     )

@@ -4,10 +4,13 @@ import pytest
 import torch
 
 from angie.drift import (
+    Anchors,
     activity,
     bounded,
     integrate_bounded,
     integrate_leaky,
+    pauses,
+    reanchor,
     remove_mean,
     soft_range,
 )
@@ -83,3 +86,38 @@ def test_the_constant_part_goes_with_the_activity():
     removed = remove_mean(delta, mean)
     assert torch.allclose(removed.sum(0), torch.zeros(2), atol=1e-6)
     assert (removed[1] == 0).all()  # a still frame stays still
+
+
+def test_pauses_are_long_enough_and_eight_seconds_apart():
+    calm = torch.zeros(700, dtype=torch.bool)
+    calm[100:120] = True  # too early
+    calm[300:309] = True  # too short
+    calm[320:330] = True
+    calm[400:420] = True  # too near
+    calm[520:] = True
+    assert pauses(calm) == [329, 529]
+
+
+def test_reanchoring_goes_half_way_to_the_nearest_pose_and_is_forgotten():
+    displacement = torch.full((700, 2), 1.0)
+    anchors = torch.tensor([[0.0, 0.0], [3.0, 1.0]])  # the first is nearer in units of the scale
+    moved = reanchor(displacement, [300], anchors, torch.tensor([1.0, 10.0]), tau=1e9)
+    assert torch.equal(moved[:301], displacement[:301])
+    assert torch.allclose(moved[325:], torch.full((375, 2), 0.5), atol=1e-4)
+    assert (moved[301:325].diff(dim=0) < 0).all()  # without a jump
+    leaky = reanchor(displacement, [300], anchors, torch.tensor([1.0, 10.0]), tau=2.0)
+    assert torch.allclose(leaky[400], torch.full((2,), 1 - 0.5 * math.exp(-100 / 50)), atol=1e-4)
+    again = reanchor(displacement, [300, 500], anchors, torch.tensor([1.0, 10.0]), tau=1e9)
+    assert torch.allclose(again[600], torch.full((2,), 0.25), atol=1e-4)
+
+
+def test_bounded_motion_can_be_reanchored_in_its_pauses():
+    delta = torch.zeros(400, 2)
+    delta[1] = 1.0
+    calm = torch.ones(400, dtype=torch.bool)
+    low, high, zero = torch.full((2,), -9.0), torch.full((2,), 9.0), torch.zeros(2)
+    anchors = Anchors(torch.zeros(1, 2), torch.ones(2), calm)
+    plain = integrate_bounded(delta, zero, zero, low, high)
+    anchored = integrate_bounded(delta, zero, zero, low, high, anchors)
+    assert torch.equal(plain[:200], anchored[:200])
+    assert torch.allclose(anchored[300:], plain[300:] / 2, atol=1e-4)

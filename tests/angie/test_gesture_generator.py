@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 import torch
 
+from angie.direct import DirectMotion
 from angie.drift import activity
 from angie.generator import AngieGenerator, GenerationConfig, voiced_tokens
 from angie.gpt import CoSpeechGPT, GPTConfig
 from angie.motion import Motion
 from angie.refiner import Refiner, RefinerConfig
 from angie.sampling import Sampling
+from angie.statistics import measure
 from angie.vq import VQConfig, VQMotionExtractor
 from data_prep.errors import BadInput
 from data_prep.features import SpeechFeatures
@@ -176,3 +178,101 @@ def test_voiced_tokens_stand_out_of_the_noise_floor():
     onset[5:10, 0] = -100.0
     assert voiced_tokens(onset).nonzero().flatten().tolist() == [5, 6, 7, 8, 9]
     assert not voiced_tokens(torch.zeros(20, 426)).any()
+
+
+def test_codes_of_a_clip_begin_the_motion(generator, speech, start, make_clip):
+    clip = make_clip(275, 5).motion
+    codes = generator.codes_of(clip)
+    assert codes.shape == (2, 35)  # 275 frames are 34 tokens and 3 frames
+    poses = torch.cat([clip[:1].vector(), clip.vector(), clip[-1:].vector().repeat(5, 1)])
+    values = poses.diff(dim=0) / generator.statistics.delta_scale
+    assert torch.equal(codes, generator.vq.encode(values[None])[0])
+    begun = generator.generate(speech, start, 96, start_codes=codes)
+    other = generator.generate(speech, start, 96, seed=5, start_codes=codes)
+    assert torch.equal(begun.vector(), other.vector())  # nothing is left to be drawn
+    assert generator.codes_of(clip[:7]).shape == (2, 1)
+
+
+def test_auto_decodes_as_training_found_better(generator, speech, start):
+    auto = configured(generator, decode="auto")
+    for chunked, name in ((False, "full"), (True, "chunked")):
+        made = dataclasses.replace(auto, chunked=chunked).generate(speech, start, 275)
+        expected = configured(generator, decode=name).generate(speech, start, 275)
+        assert torch.equal(made.vector(), expected.vector())
+
+
+def test_smoothing_calms_the_factors_alone(generator, speech, start):
+    plain = generator.generate(speech, start, 200)
+    smooth = configured(generator, smooth=2.0).generate(speech, start, 200)
+    assert torch.equal(smooth.shift, plain.shift)
+    rough, calm = (m.cholesky[2:].diff(n=2, dim=0).abs().mean() for m in (plain, smooth))
+    assert calm < 0.5 * rough
+    with pytest.raises(ValueError, match="smooth"):
+        GenerationConfig(smooth=-1.0)
+
+
+def test_reanchored_motion_differs_only_after_a_pause(generator, start):
+    bounded = configured(generator, bounding="on", refine=False)
+    anchored = configured(bounded, reanchor=True)
+    calm = dataclasses.replace(anchored.statistics, calm=torch.tensor([1e9]))
+    anchored = dataclasses.replace(anchored, statistics=calm)
+    plain = bounded.generate(silence(500), start, 500).vector()
+    moved = anchored.generate(silence(500), start, 500).vector()
+    assert torch.equal(plain[:200], moved[:200])
+    assert not torch.allclose(plain[230:], moved[230:], atol=1e-4)
+
+
+@pytest.mark.parametrize("quant", ["mu_L", "dmu_L", "mu_dL", "no_cholesky"])
+def test_variants_generate_too(generator, speech, start, quant):
+    sizes = dataclasses.replace(generator.vq.config, quant=quant)
+    vq = VQMotionExtractor(sizes)
+    vq.load_state_dict(generator.vq.state_dict())
+    variant = dataclasses.replace(generator, vq=vq)
+    motion = configured(variant, bounding="auto").generate(speech, start, 275)
+    assert torch.equal(motion.vector()[0], start.vector()[0])
+    assert torch.linalg.eigvalsh(motion.covariance().double()).min() > 0
+    assert not torch.allclose(motion.vector(), generator.generate(speech, start, 275).vector())
+
+
+def test_without_codes_motion_is_regressed_from_the_sound(generator, speech, start, make_clip):
+    torch.manual_seed(0)
+    sizes = dataclasses.replace(generator.vq.config, quant="no_quant")
+    direct = DirectMotion(sizes, generator.gpt.config).eval()
+    for parameter in direct.transformer.parameters():
+        torch.nn.init.normal_(parameter, std=0.3)
+    with pytest.raises(ValueError, match="not trained on one another"):
+        dataclasses.replace(generator, vq=direct)
+    without = dataclasses.replace(generator, vq=direct, gpt=None)
+    motion = without.generate(speech, start, 275, seed=1)
+    assert motion.frames == 275 and torch.equal(motion.vector()[0], start.vector()[0])
+    assert without.codes_of(make_clip(96, 1).motion) is None
+    assert torch.equal(without.generate(speech, start, 275, seed=2).vector(), motion.vector())
+    onset = without.statistics.standard_onset(torch.as_tensor(speech.onset))
+    window = direct(onset[None, :12])[0]
+    assert torch.allclose(direct.predict(onset[:12]), window, atol=1e-5)
+    assert torch.allclose(direct.predict(onset)[:48], window[:48], atol=1e-4)
+    later = onset[:12].clone()
+    later[6:] += 1  # a step hears nothing later; the decoder alone sees the steps around it
+    latent, changed = (
+        direct.transformer(torch.zeros(1, 2, 12, dtype=torch.int64), sound[None])
+        for sound in (onset[:12], later)
+    )
+    assert torch.equal(latent[:, :, :6], changed[:, :, :6])
+
+
+def test_points_without_extent(generator, clips):
+    points = [
+        dataclasses.replace(clip, motion=Motion.of_points(clip.motion.shift)) for clip in clips[:4]
+    ]
+    statistics = measure(points)
+    torch.manual_seed(0)
+    vq = VQMotionExtractor(dataclasses.replace(generator.vq.config, streams=1)).train()
+    vq(torch.randn(8, 96, 8))
+    gpt = CoSpeechGPT(dataclasses.replace(generator.gpt.config, streams=1))
+    refiner = Refiner(dataclasses.replace(generator.refiner.config, streams=1))
+    made = AngieGenerator(vq, gpt, refiner, statistics, GenerationConfig(bounding="auto"))
+    motion = made.generate(points[0].features, points[0].motion[:1], 250)
+    assert motion.shift.shape == (250, 4, 2) and not motion.has_extent
+    assert made.generate(points[0].features, points[0].motion[:1], 250, speaker="ada").frames == 250
+    with pytest.raises(ValueError, match="not trained on one another"):
+        dataclasses.replace(made, gpt=generator.gpt)

@@ -1,21 +1,35 @@
 """The three motion stages on synthetic clips whose motion follows the sound."""
 
+import dataclasses
+
 import pytest
 import torch
 
+from angie.direct import DirectMotion
 from angie.drift import remove_mean
 from angie.gpt import GPTConfig
+from angie.patterns import encode_windows
+from angie.quantisation import Channels
 from angie.refiner import Refiner, RefinerConfig
 from angie.schedule import BestWeights, Schedule
-from angie.train_gpt import GPTTraining, code_windows, cross_entropy, train_gpt
+from angie.train_direct import direct_error, train_direct
+from angie.train_gpt import (
+    GPTTraining,
+    code_windows,
+    cross_entropy,
+    someone,
+    stream_entropies,
+    train_gpt,
+)
 from angie.train_refiner import (
     RefinerTraining,
     add_drift,
+    covariance_loss,
     held_out_loss,
     pattern_windows,
     train_refiner,
 )
-from angie.train_vq import VQTraining, encode_windows, normalised_deltas, train_vq
+from angie.train_vq import VQTraining, train_vq
 from angie.vq import VQConfig
 from angie.windows import MotionWindows
 from mraa.run import RunConfig
@@ -43,7 +57,7 @@ def held_out(clips, statistics) -> MotionWindows:
 @pytest.fixture(scope="module")
 def vq(windows, tmp_path_factory):
     folder = tmp_path_factory.mktemp("vq")
-    return train_vq(folder, windows, VQ, VQTraining(schedule(80, 3e-3)), run_config=CPU)
+    return train_vq(folder, windows, None, VQ, VQTraining(schedule(80, 3e-3)), run_config=CPU)
 
 
 def same(one: torch.nn.Module, other: torch.nn.Module) -> bool:
@@ -98,7 +112,7 @@ def test_the_best_weights_are_kept():
 
 
 def test_vq_learns_to_reconstruct(vq, windows):
-    deltas = normalised_deltas(windows.stack("poses", 0, 32), windows.statistics.delta_scale)
+    deltas = Channels.of(windows.statistics).normalise(windows.stack("poses", 0, 32))
     error = (vq(deltas).deltas - deltas)[..., [1, 3]].abs().mean()  # the regions that move
     assert error < 0.5 * deltas[..., [1, 3]].abs().mean()
     assert vq.shift.codebook.perplexity() > 5
@@ -115,7 +129,7 @@ def test_gpt_hears(vq, windows, held_out, tmp_path):
     )
     coded = code_windows(vq, held_out)
     onset = coded.stack("onset", 0, len(coded))
-    deaf = coded.choose([], codes=coded.rows["codes"], onset=onset.roll(3, 0))
+    deaf = coded.choose(["speaker"], codes=coded.rows["codes"], onset=onset.roll(3, 0))
     assert cross_entropy(gpt, coded) < cross_entropy(gpt, deaf) - 0.1
 
 
@@ -143,7 +157,7 @@ def test_a_resumed_vq_is_the_uninterrupted_one(windows, tmp_path, monkeypatch, u
     def train(folder, resume):
         folder.mkdir(exist_ok=True)
         training = VQTraining(schedule(12))
-        return train_vq(folder, windows, config, training, run_config=CPU, resume=resume)
+        return train_vq(folder, windows, None, config, training, run_config=CPU, resume=resume)
 
     whole = train(tmp_path / "whole", False)
     assert same(whole, killed_and_resumed(train, tmp_path / "half", monkeypatch, 7))
@@ -165,7 +179,7 @@ def test_a_finished_stage_stays_finished_however_often_it_is_resumed(windows, tm
     config = VQConfig(regions=4, width=8, codes=16, code_width=8)
     training = VQTraining(schedule(3))
     results = [
-        train_vq(tmp_path, windows, config, training, run_config=CPU, resume=resume)
+        train_vq(tmp_path, windows, None, config, training, run_config=CPU, resume=resume)
         for resume in (False, True, True)
     ]
     assert same(results[0], results[1]) and same(results[0], results[2])
@@ -181,3 +195,51 @@ def test_a_resumed_refiner_is_the_uninterrupted_one(vq, windows, held_out, tmp_p
 
     whole = train(tmp_path / "whole", False)
     assert same(whole, killed_and_resumed(train, tmp_path / "half", monkeypatch, 5))
+
+
+def test_regression_from_the_sound_learns(windows, held_out, tmp_path):
+    sizes = dataclasses.replace(VQ, quant="no_quant")
+    few = windows.chosen([0, 1, 2])
+    training = GPTTraining(schedule(60, 3e-3), checks=4)
+    direct = train_direct(tmp_path, few, few, sizes, GPT, training, run_config=CPU)
+    torch.manual_seed(0)
+    fresh = DirectMotion(sizes, GPT, 2)
+    assert direct_error(direct, few) < 0.9 * direct_error(fresh, few)
+    patterned = pattern_windows(direct, held_out)
+    pattern, poses = patterned.rows["pattern"][0], patterned[0]["poses"]
+    scale = windows.statistics.pose_scale
+    assert pattern.shape == (96, 20) and torch.allclose(pattern[0] * scale, poses[1], atol=1e-5)
+
+
+def test_a_joint_model_learns_who_speaks(vq, windows, held_out, tmp_path):
+    joint = dataclasses.replace(GPT, joint=True)
+    gpt = train_gpt(
+        tmp_path, vq, windows, held_out, joint, GPTTraining(schedule(6)), run_config=CPU
+    )
+    assert gpt.speaker.num_embeddings == 3
+    coded = code_windows(vq, held_out)
+    entropies = stream_entropies(gpt, coded)
+    assert cross_entropy(gpt, coded) == pytest.approx(float(entropies.sum()))
+    torch.manual_seed(0)
+    hidden = someone(torch.zeros(4000, dtype=torch.int64), 2)
+    assert set(hidden.tolist()) == {0, 2} and 0.07 < (hidden == 2).float().mean() < 0.13
+
+
+def test_the_covariance_loss_of_a_hand_worked_case():
+    # C = [[1, 0], [0, 4]] against [[4, 0], [0, 4]]: errors 3, 0, 0, 0; mean size of the true 2
+    made = torch.tensor([[[0.0, 0.0, 1.0, 0.0, 2.0]]])
+    truth = torch.tensor([[[0.0, 0.0, 2.0, 0.0, 2.0]]])
+    assert covariance_loss(made, truth, torch.ones(5)).item() == pytest.approx(0.75 / 2)
+    assert covariance_loss(made / 2, truth / 2, torch.full((5,), 2.0)).item() == pytest.approx(
+        0.375
+    )
+
+
+def test_the_refiner_can_be_trained_on_covariances_too(vq, windows, tmp_path):
+    def trained(folder, weight):
+        folder.mkdir()
+        training = RefinerTraining(schedule(3), covariance=weight)
+        return train_refiner(folder, vq, windows, None, REFINER, training, run_config=CPU)
+
+    plain, with_c = trained(tmp_path / "plain", 0.0), trained(tmp_path / "with", 1.0)
+    assert not same(plain, with_c)

@@ -1,3 +1,6 @@
+import dataclasses
+
+import pytest
 import torch
 
 from angie.refiner import Refiner, RefinerConfig
@@ -71,3 +74,31 @@ def test_sizes_of_the_default():
     assert refiner.shift.out.weight.shape == (40, 512)
     assert refiner.cholesky.out.weight.shape == (60, 512)
     assert refiner.shift.lstm.weight_ih_l0.shape == (1024, 384)
+
+
+def test_the_convolutions_of_atvgnet():
+    torch.manual_seed(0)
+    refiner = Refiner(dataclasses.replace(TINY, mfcc_encoder="conv"))
+    sizes = [tuple(p.shape) for name, p in refiner.shift.sound.named_parameters() if p.ndim > 1]
+    widths = [(64, 1), (128, 64), (256, 128), (256, 256), (512, 256)]
+    assert sizes == [(*pair, 3, 3) for pair in widths] + [(2048, 12_288), (8, 2048)]
+    torch.nn.init.normal_(refiner.shift.out.weight)
+    mfcc, pattern = torch.randn(1, 3, 28, 12), torch.randn(1, 3, 20)
+    residual = refiner(mfcc, pattern)
+    assert residual.shape == (1, 3, 20)
+    assert not torch.allclose(refiner(mfcc + 1, pattern), residual)
+    with pytest.raises(ValueError, match="linear, conv"):
+        RefinerConfig(mfcc_encoder="deep")
+
+
+def test_one_stream_alone():
+    refiner = Refiner(dataclasses.replace(TINY, streams=1))
+    assert refiner(torch.randn(2, 9, 28, 12), torch.randn(2, 9, 8)).shape == (2, 9, 8)
+    assert not [name for name, _ in refiner.named_parameters() if "cholesky" in name]
+
+
+def test_mfcc_windows_are_standardised_on_the_way():
+    refiner = trained_by_chance()
+    mfcc, pattern = torch.randn(120, 28, 12), torch.randn(120, 20)
+    expected = refiner.refine(mfcc * 2, pattern)
+    assert torch.allclose(refiner.refine(mfcc, pattern, lambda m: m * 2), expected, atol=1e-6)

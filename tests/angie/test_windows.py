@@ -1,6 +1,9 @@
+import dataclasses
+
 import pytest
 import torch
 
+from angie.motion import Motion
 from angie.windows import MotionWindows
 from data_prep.errors import BadInput
 
@@ -48,3 +51,39 @@ def test_more_motion_than_sound_is_bad_input(make_clip):
     long, short = make_clip(100, 0), make_clip(90, 1)
     with pytest.raises(BadInput, match="ada_0: 100 frames of motion but 90"):
         type(long)(long.name, long.speaker, long.motion, short.features)
+
+
+def test_still_windows_are_thinned_out(make_clip, statistics):
+    moving = [make_clip(250, seed) for seed in range(4)]
+    clip = make_clip(250, 9)
+    still = dataclasses.replace(
+        clip, name="still", motion=Motion(*(v[:1].repeat(250, 1, 1) for v in _parts(clip.motion)))
+    )
+    windows = MotionWindows([*moving, *[still] * 6], statistics)
+    active = [place for place in windows.places if windows._activity(*place) >= 0.1]
+    for share in (0.1, 0.25):
+        kept = windows.thinned(share)
+        assert [place for place in kept.places if windows._activity(*place) >= 0.1] == active
+        rest = len(kept) - len(active)
+        assert share - 0.1 < rest / len(kept) <= share
+    assert windows.thinned(1.0) is windows
+    assert len(windows.thinned(0.1).choose(["onset"])) == len(windows.thinned(0.1))
+
+
+def _parts(motion):
+    return motion.shift, motion.cholesky
+
+
+def test_the_speaker_of_a_window(clips, statistics):
+    windows = MotionWindows(clips[:2], statistics, ["speaker"])
+    names = [clip.speaker for clip in windows.clips]
+    for index, (place, _) in enumerate(windows.places):
+        assert statistics.speakers[int(windows[index]["speaker"])] == names[place]
+
+
+def test_some_of_the_windows_keep_their_rows(clips, statistics):
+    windows = MotionWindows(clips[:2], statistics)
+    windows = windows.choose(["poses"], number=torch.arange(len(windows)))
+    some = windows.chosen([4, 1])
+    assert [int(item["number"]) for item in (some[0], some[1])] == [4, 1]
+    assert torch.equal(some[0]["poses"], windows[4]["poses"])

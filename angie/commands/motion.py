@@ -1,0 +1,72 @@
+"""Commands of the motion side: gestures, codebook."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from angie.commands.options import Force, Seed, want_file
+from data_prep.rates import FPS
+
+
+def gestures(
+    bundle: Annotated[Path, typer.Argument(help="Bundle of joints or of regions.")],
+    audio: Annotated[Path, typer.Argument(help="Any recording, or a video with sound.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The .npz or .npy to write.")],
+    start: Annotated[
+        Path | None, typer.Option(help="Motion to begin with the first frame of.")
+    ] = None,
+    speaker: Annotated[
+        str | None, typer.Option(help="A speaker of the training set, by name.")
+    ] = None,
+    fps: Annotated[float, typer.Option(min=1, max=1000, help="Frames a second of joints.")] = FPS,
+    seed: Seed = 0,
+    greedy: Annotated[
+        bool, typer.Option("--greedy", help="Always the likeliest gesture, whatever the seed.")
+    ] = False,
+    force: Force = False,
+) -> None:
+    """Write the motion for a recording as arrays: joints (T, J, 2), or regions."""
+    from data_prep.output import check_output
+
+    check_output(output, force=force)
+    want_file(audio, "recording")
+    if start is not None:
+        want_file(start, "motion to begin with")
+    from angie.bundle import Bundle
+    from angie.gestures import gestures as make
+
+    frames = make(
+        Bundle.open(bundle),
+        audio,
+        output,
+        start=start,
+        speaker=speaker,
+        fps=fps,
+        seed=seed,
+        greedy=greedy,
+        force=force,
+    )
+    print(f"{output}: {frames} frames at {fps:g} a second")
+
+
+def codebook(
+    bundle: Annotated[Path, typer.Argument(help="Speaker bundle.")],
+    photos: Annotated[list[Path], typer.Argument(help="Photos of people.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The .png to write, and an .mp4 beside it.")
+    ],
+    codes: Annotated[int, typer.Option(min=1, max=24, help="Pairs of codes, the rows.")] = 6,
+    person: Annotated[
+        str | None, typer.Option(help="Of several people: left, right or largest.")
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Show codes of the motion codebooks on photos, and how much each is used."""
+    for photo in photos:
+        want_file(photo, "photo")
+    from angie.bundle import Bundle
+    from angie.code_sheet import code_sheet
+
+    sheet = code_sheet(Bundle.open(bundle), photos, output, count=codes, person=person, force=force)
+    print(f"{sheet.picture}, {sheet.video}: {len(sheet.pairs)} pairs of codes")

@@ -1,0 +1,106 @@
+"""Sound to motion as arrays, without a photo: joints or regions."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from angie.bundle import Bundle
+from angie.keypoints import read_points, resample
+from angie.motion import Motion, read_motion
+from angie.statistics import MotionStatistics
+from data_prep.errors import BadInput
+from data_prep.features import speech_features
+from data_prep.output import check_apart, whole_file
+from data_prep.rates import FPS, frames_covering
+from data_prep.sound import read_sound
+
+
+def start_pose(
+    statistics: MotionStatistics, speaker: str | None, path: Path | None = None
+) -> Motion:
+    """The pose to begin with: the first frame of a file of motion, or a speaker's rest pose.
+
+    Args:
+        statistics: of the model.
+        speaker: a speaker of the training set; None is the first.
+        path: joints (.npy, .npz) or region motion (.npz), as the model has.
+
+    Raises:
+        BadInput: an unknown speaker, or motion of another kind or number of points.
+    """
+    if path is None:
+        rest = statistics.rest[statistics.place_of(speaker or statistics.speakers[0])]
+        if statistics.has_extent:
+            return Motion.from_vector(rest[None])
+        return Motion.of_points(rest.unflatten(-1, (-1, 2))[None])
+    if statistics.has_extent:
+        motion = read_motion(path)[:1]
+    else:
+        first = read_points(path)[:1].astype(np.float32)
+        motion = Motion.of_points(statistics.rest.new_tensor(first))
+    if motion.regions != statistics.regions:
+        raise BadInput(f"{path}: has {motion.regions} points, the model {statistics.regions}")
+    return motion
+
+
+def gestures(
+    bundle: Bundle,
+    sound_path: Path,
+    output: Path,
+    *,
+    start: Path | None = None,
+    speaker: str | None = None,
+    fps: float = FPS,
+    seed: int = 0,
+    greedy: bool = False,
+    force: bool = False,
+) -> int:
+    """Generate motion for a recording and write it as arrays.
+
+    Args:
+        bundle: a model of joints or of regions.
+        sound_path: any recording.
+        output: .npz: `points` (T, J, 2) and `fps` of joints; of regions `shift` (T, K, 2),
+            `cholesky` (T, K, 3) and `fps`. A name that ends in .npy gets the joints alone.
+        start: motion whose first frame is the start pose; None is the rest pose.
+        speaker: a speaker of the training set.
+        fps: frames a second wanted; motion of regions has 25.
+        seed: of the gestures.
+        greedy: always the likeliest gesture.
+        force: replace an existing output.
+
+    Returns:
+        Frames written.
+
+    Raises:
+        BadInput: an input that cannot be used; nothing is left behind.
+    """
+    check_apart(output, [sound_path, *([start] if start else [])])
+    points = bundle.preset.points
+    if output.suffix not in (".npz", ".npy") or (output.suffix == ".npy" and not points):
+        raise BadInput(f"{output}: must end in .npz{' or .npy' if points else ''}")
+    if fps != FPS and not points:
+        raise BadInput(f"--fps {fps:g}: motion of regions has {FPS} frames a second")
+    generator = bundle.generator()
+    method = "greedy" if greedy else "topk"
+    sampling = replace(generator.config.sampling, method=method)
+    generator.config = replace(generator.config, sampling=sampling)
+    with whole_file(output, force=force) as part:
+        samples = read_sound(sound_path)
+        pose = start_pose(generator.statistics, speaker, start)
+        frames = frames_covering(len(samples))
+        motion = generator.generate(speech_features(samples), pose, frames, seed, speaker)
+        arrays: dict[str, Any] = {"fps": np.array(float(fps))}
+        if points:
+            made = resample(motion.shift.numpy().astype(np.float64), FPS, fps)
+            arrays["points"] = made.astype(np.float32)
+        else:
+            arrays.update(shift=motion.shift.numpy(), cholesky=motion.cholesky.numpy())
+        with part.open("wb") as file:
+            if output.suffix == ".npy":
+                np.save(file, arrays["points"])
+            else:
+                np.savez(file, **arrays)
+    return len(arrays["points"]) if points else frames

@@ -1,0 +1,103 @@
+"""The bundle that a training begins or goes on with."""
+
+import dataclasses
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from torch import nn
+
+from angie.bundle import Bundle
+from angie.direct import DirectMotion
+from angie.gpt import CoSpeechGPT
+from angie.presets import Preset, override
+from angie.refiner import Refiner
+from angie.vq import VQMotionExtractor
+from data_prep.errors import BadInput
+from data_prep.output import check_output
+from mraa.renderer import Renderer, make_avd
+from mraa.training import load_initial
+from mraa.vgg import load_vgg19
+
+
+def try_out(settings: Preset) -> None:
+    """Build every part once: sizes that do not fit are told before anything is trained.
+
+    Raises:
+        BadInput: which part cannot be built, or initial weights that cannot be loaded.
+    """
+    parts: dict[str, Callable[[], nn.Module]] = {
+        "renderer": lambda: Renderer(settings.renderer),
+        "avd": lambda: make_avd(settings.renderer),
+        "vq": lambda: VQMotionExtractor(settings.vq),
+        "gpt": lambda: CoSpeechGPT(settings.gpt),
+        "refiner": lambda: Refiner(settings.refiner),
+    }
+    if settings.points:
+        del parts["renderer"], parts["avd"]
+    if settings.vq.quant == "no_quant":
+        parts["vq"] = lambda: DirectMotion(settings.vq, settings.gpt)
+    for name, build in parts.items():
+        try:
+            model = build()
+        except (ValueError, RuntimeError, ArithmeticError, AssertionError, LookupError) as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise BadInput(f"{name}: no network can have these sizes ({reason})") from error
+        if any(weights.numel() == 0 for weights in model.parameters()):
+            raise BadInput(f"{name}: no network can have these sizes (a width of 0)")
+        if isinstance(model, Renderer) and settings.train_renderer.initial:
+            load_initial(model, Path(settings.train_renderer.initial))
+
+
+def open_or_create(
+    output: Path,
+    preset: Preset | None,
+    changes: dict[str, Any],
+    stage: str,
+    resume: bool,
+    force: bool,
+) -> Bundle:
+    """The bundle of a folder, made if need be, with the settings to train it with.
+
+    Args:
+        output: folder of the bundle.
+        preset: sizes of a new bundle; an existing one keeps its own.
+        changes: settings that differ.
+        stage: what will be trained, "all" or a stage.
+        resume: go on with a bundle that exists.
+        force: throw an existing one away.
+
+    Raises:
+        BadInput: settings that cannot be, or a folder that cannot be used for this.
+    """
+    exists = (output / "bundle.json").exists()
+    if not exists or (force and not resume):
+        settings = override(preset or Preset(), changes)
+        first = "motion" if settings.points else "renderer"
+        if stage not in ("all", first):
+            raise BadInput(f"{output}: has no {first} yet; run angie train --stage {first} first")
+        try_out(settings)
+        if settings.train_renderer.perceptual_weights:
+            load_vgg19(Path(settings.train_renderer.perceptual_weights))
+        if not exists and output.is_dir() and any(output.iterdir()):
+            raise BadInput(f"{output}: holds other files; name a new folder for the bundle")
+        check_output(output, force=output.is_dir())
+        if exists:
+            shutil.rmtree(output)
+        return Bundle.create(output, settings)
+    check_output(output / "bundle.json", force=True)
+    if not resume and stage == "all":
+        raise BadInput(f"{output}: exists already; go on with --resume or start anew with --force")
+    bundle = Bundle.open(output)
+    if preset is not None and preset.name != bundle.preset.name:
+        raise BadInput(
+            f"{output}: made with --preset {bundle.preset.name}; leave --preset out to go on"
+        )
+    if changes:
+        changed = override(bundle.preset, changes)
+        try_out(changed)
+        bundle.preset = changed
+        bundle.manifest["config"] = dataclasses.asdict(bundle.preset)
+        bundle.write()
+    return bundle

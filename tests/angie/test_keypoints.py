@@ -1,0 +1,204 @@
+"""Joints in place of regions: a dataset of arrays trained and generated end to end."""
+
+import shutil
+import sys
+
+import numpy as np
+import pytest
+
+from angie.bundle import Bundle
+from angie.cli import main
+from angie.keypoints import KeypointDataset, read_points, resample
+from angie.summary import describe
+from data_prep.errors import BadInput
+from data_prep.sound import write_wav
+
+JOINTS, FPS = 3, 15
+TINY = (
+    "vq.width=8 vq.codes=16 vq.code_width=8 gpt.codes=16 gpt.width=16 gpt.heads=2 gpt.layers=1 "
+    "refiner.sound=8 refiner.motion=8 refiner.hidden=8 "
+    "train_vq.schedule.most_steps=4 train_gpt.schedule.most_steps=4 "
+    "train_refiner.schedule.most_steps=4"
+).split()
+
+
+def call(capsys, *arguments):
+    status, old, sys.argv = 0, sys.argv, ["angie", *map(str, arguments)]
+    try:
+        main()
+    except SystemExit as leave:
+        status = leave.code or 0
+    finally:
+        sys.argv = old
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Twelve clips of six seconds at 15 frames a second, in pixels."""
+    folder = tmp_path_factory.mktemp("joints") / "data"
+    (folder / "motion").mkdir(parents=True)
+    (folder / "audio").mkdir()
+    rows = ["clip,speaker,split,fps"]
+    rng = np.random.default_rng(0)
+    for number in range(12):
+        name, frames = f"c{number}", 6 * FPS
+        points = np.array([[100.0, 50], [60, 120], [140, 120]]) + rng.normal(size=(frames, 3, 2))
+        points[:, 1:, 1] += 20 * np.sin(np.arange(frames) / 4 + number)[:, None]
+        if number % 2:
+            np.save(folder / "motion" / f"{name}.npy", points.astype(np.float32))
+        else:
+            np.savez(folder / "motion" / f"{name}.npz", points=points)
+        sound = 0.1 * rng.normal(size=6 * 16_000) * (np.arange(6 * 16_000) // 8000 % 2)
+        write_wav(folder / "audio" / f"{name}.wav", sound, 16_000)
+        rows.append(
+            f"{name},{'ada' if number % 2 else 'bob'},{'test' if number > 9 else 'train'},{FPS}"
+        )
+    (folder / "clips.csv").write_text("\n".join(rows) + "\n")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def model(data):
+    folder = data.parent / "model"
+    old, sys.argv = (
+        sys.argv,
+        [
+            "angie",
+            "train",
+            str(data),
+            "-o",
+            str(folder),
+            "--preset",
+            "tiny",
+            "--device",
+            "cpu",
+            *TINY,
+        ],
+    )
+    try:
+        main()
+    except SystemExit as leave:
+        assert not leave.code
+    finally:
+        sys.argv = old
+    return folder
+
+
+def test_the_index_and_the_arrays_are_read(data, tmp_path):
+    joints = KeypointDataset(data, tmp_path / "cache")
+    assert joints.joints() == JOINTS and joints.speakers() == ["ada", "bob"]
+    assert [clip.id for clip in joints.clips("test")] == ["c10", "c11"]
+    clip = joints.motion_clips("test")[0]
+    # 90 frames at 15 last to 89/15 s: 148.3 frames at 25
+    assert clip.motion.shift.shape == (149, 3, 2) and not clip.motion.has_extent
+    assert joints.clips("test")[0].n_frames == 149
+    again = KeypointDataset(data, tmp_path / "cache").motion_clips("test")[0]
+    assert np.array_equal(again.features.onset, clip.features.onset)
+
+
+def test_resampling_keeps_smooth_motion():
+    time = np.arange(61) / 15
+    points = np.stack([np.sin(time), np.cos(time)], axis=-1)[:, None]  # (61, 1, 2)
+    fine = resample(points, 15, 25)
+    assert np.allclose(fine[:, 0, 0], np.sin(np.arange(len(fine)) / 25), atol=1e-3)
+    assert len(fine) == 101
+    back = resample(fine, 25, 15)
+    assert len(back) == 61 and np.abs(back - points)[3:-3].max() < 5e-3
+    assert resample(points, 15, 15) is points
+    line = np.arange(10.0)[:, None, None] * np.ones((1, 1, 2))
+    assert np.allclose(resample(line, 10, 5)[1:-1, 0, 0], [2, 4, 6], atol=0.05)
+
+
+def test_a_model_of_joints_has_no_renderer_and_one_stream(model):
+    bundle = Bundle.open(model)
+    assert list(bundle.manifest["parts"]) == ["statistics", "vq", "gpt", "refiner"]
+    assert bundle.preset.points and bundle.preset.vq.regions == JOINTS
+    assert "3 joints" in describe(bundle) and "renderer" not in describe(bundle)
+    report = bundle.manifest["parts"]["vq"]["report"]
+    assert report["training"]["shift_perplexity"] >= 1
+    assert all(len(pair) == 2 for pair in report["pairs"])
+
+
+def test_motion_is_written_at_the_rate_asked_for(model, data, tmp_path, capsys):
+    out, sound = tmp_path / "out.npz", data / "audio" / "c11.wav"
+    start = data / "motion" / "c11.npy"
+    status, text, _ = call(
+        capsys, "gestures", model, sound, "-o", out, "--fps", FPS, "--start", start
+    )
+    assert status == 0 and "at 15 a second" in text
+    with np.load(out) as file:
+        points = file["points"]
+        assert points.shape == (90, JOINTS, 2) and float(file["fps"]) == FPS
+    assert np.allclose(points[0], np.load(start)[0], atol=0.01)  # in the unit of the data
+    plain = tmp_path / "out.npy"
+    assert call(capsys, "gestures", model, sound, "-o", plain, "--speaker", "bob")[0] == 0
+    assert np.load(plain).shape == (150, JOINTS, 2)
+
+
+def test_going_on_and_other_stages(model, data, tmp_path, capsys):
+    copy = tmp_path / "model"
+    shutil.copytree(model, copy)
+    status, _, error = call(capsys, "train", data, "-o", copy, "--resume", "--device", "cpu")
+    assert status == 0 and "refiner: done before" in error
+    status, _, error = call(capsys, "train", data, "-o", copy, "--stage", "renderer")
+    assert status == 2 and "this bundle has motion" in error
+
+
+@pytest.mark.parametrize(
+    "row, words",
+    [
+        ("c1,ada,train", "fps"),
+        ("c1,ada,train,fast", "no rate"),
+        ("c1,ada,valid,15", "train or test"),
+        ("c1,,train,15", "speaker"),
+        ("../c1,ada,train,15", "a name"),
+        ("nothing,ada,train,15", "motion/nothing.npy is missing"),
+        ("c1,ada,train,15\nc1,ada,train,15", "twice"),
+    ],
+)
+def test_a_bad_index_is_told(data, tmp_path, row, words):
+    folder = tmp_path / "data"
+    shutil.copytree(data, folder)
+    (folder / "clips.csv").write_text(f"clip,speaker,split,fps\n{row}\n")
+    with pytest.raises(BadInput, match=words):
+        KeypointDataset(folder, tmp_path / "cache")
+
+
+def test_bad_arrays_are_told(data, tmp_path):
+    path = tmp_path / "a.npy"
+    for array, words in [
+        (np.zeros((5, 3)), r"\(5, 3\)"),
+        (np.full((5, 3, 2), np.nan), "finite"),
+        (np.zeros((5, 3, 2), complex), "finite"),
+        (np.zeros((0, 3, 2)), "wanted are joints"),
+    ]:
+        np.save(path, array)
+        with pytest.raises(BadInput, match=words):
+            read_points(path)
+    path.write_text("no array")
+    with pytest.raises(BadInput, match="not a readable array"):
+        read_points(path)
+    np.savez(tmp_path / "b.npz", joints=np.zeros((5, 3, 2)))
+    with pytest.raises(BadInput, match="no array `points`"):
+        read_points(tmp_path / "b.npz")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(BadInput, match=r"cannot be read"):
+        KeypointDataset(tmp_path / "empty", tmp_path)
+
+
+def test_bad_requests_leave_nothing_behind(model, data, tmp_path, capsys):
+    out, sound = tmp_path / "out.npz", data / "audio" / "c11.wav"
+    other = tmp_path / "other.npy"
+    np.save(other, np.zeros((4, 5, 2)))
+    for arguments, words in [
+        (["--speaker", "adda"], "did you mean 'ada'"),
+        (["--start", other], "has 5 points, the model 3"),
+        (["--start", tmp_path / "none.npy"], "no such file"),
+    ]:
+        status, _, error = call(capsys, "gestures", model, sound, "-o", out, *arguments)
+        assert status == 2 and words in error and error.count("\n") == 1
+    status, _, error = call(capsys, "gestures", model, sound, "-o", tmp_path / "out.txt")
+    assert status == 2 and "must end in" in error
+    assert [path.name for path in tmp_path.iterdir()] == ["other.npy"]
