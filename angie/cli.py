@@ -15,7 +15,7 @@ from angie.commands.animate import animate, demo
 from angie.commands.bundles import import_mraa, info, train
 from angie.commands.data import phantom, prepare
 from angie.commands.evaluate import evaluate
-from angie.commands.motion import codebook, gestures
+from angie.commands.motion import ablate, codebook, gestures
 from data_prep.errors import BadInput
 from data_prep.progress import console
 
@@ -34,6 +34,7 @@ for command in (
     prepare,
     train,
     evaluate,
+    ablate,
     import_mraa,
     gestures,
     codebook,

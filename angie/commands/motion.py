@@ -1,11 +1,12 @@
-"""Commands of the motion side: gestures, codebook."""
+"""Commands of the motion side: gestures, codebook, ablate."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from angie.commands.options import Force, Seed, want_file
+from angie.commands.options import Device, Force, Seed, device_of, want_file
+from data_prep.errors import BadInput
 from data_prep.rates import FPS
 
 
@@ -70,3 +71,54 @@ def codebook(
 
     sheet = code_sheet(Bundle.open(bundle), photos, output, count=codes, person=person, force=force)
     print(f"{sheet.picture}, {sheet.video}: {len(sheet.pairs)} pairs of codes")
+
+
+def ablate(
+    dataset: Annotated[Path, typer.Argument(help="Folder that angie prepare made.")],
+    bundle: Annotated[Path, typer.Argument(help="Bundle whose renderer and settings all share.")],
+    settings: Annotated[
+        list[str] | None, typer.Argument(help="key=value, or YAML files with such.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder of bundles, report and table.")
+    ] = None,
+    variants: Annotated[
+        str | None, typer.Option(help="Some of the rows, with commas; without it all.")
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of what is random.")] = 1,
+    no_images: Annotated[
+        bool, typer.Option("--no-images", help="Render nothing: motion scores alone.")
+    ] = False,
+    fgd_steps: Annotated[
+        int, typer.Option(min=1, help="Most training steps of FGD's auto-encoder.")
+    ] = 3000,
+    seed: Seed = 0,
+    device: Device = "auto",
+) -> None:
+    """Train and score the variants of the paper's Table 3; a killed run goes on when repeated."""
+    if output is None:
+        raise BadInput("--output: name the folder of the ablations, -o DIR")
+    from angie.ablation import VARIANTS
+    from angie.ablation import ablate as run
+    from angie.evaluation.networks import EvaluationConfig
+    from angie.presets import parse_overrides
+    from mraa.run import RunConfig
+
+    place = device_of(device)
+    chosen = VARIANTS if variants is None else [name.strip() for name in variants.split(",")]
+    scoring = EvaluationConfig(
+        seeds=seeds, seed=seed, images=not no_images, videos_shown=0, fgd_steps=fgd_steps
+    )
+    text = run(
+        dataset,
+        bundle,
+        output,
+        variants=chosen,
+        changes=parse_overrides(settings or []),
+        config=scoring,
+        seed=seed,
+        run=RunConfig(device=device),
+        device=place,
+    )
+    print(text)
+    print(f"{output}: table3.md, report, a bundle for each row")

@@ -8,7 +8,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from angie import __version__
-from angie.bundle import Bundle, source_commit
+from angie.bundle import OPTIONAL, Bundle, source_commit
 from angie.clips import MotionClip
 from angie.evaluation import report
 from angie.evaluation.joints import true_joints
@@ -94,8 +94,11 @@ def _grouped(folders: Sequence[Path]) -> list[dict[str, Bundle]]:
     groups: dict[str, dict[str, Bundle]] = {}
     for folder, name in zip(folders, names, strict=True):
         bundle = Bundle.open(folder)
-        for part in ("renderer", "statistics", "vq", "gpt", "refiner"):
-            bundle.path_of(part)
+        if bundle.preset.points:
+            raise BadInput(f"{folder}: a model of joints draws no videos; score its arrays")
+        for part in bundle.parts:
+            if part not in OPTIONAL:
+                bundle.path_of(part)
         label = name if names.count(name) == 1 else f"{Path(folder).resolve().parent.name}/{name}"
         groups.setdefault(bundle.hash_of("renderer"), {})[label] = bundle
     return list(groups.values())

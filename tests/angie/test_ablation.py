@@ -1,0 +1,132 @@
+"""The ablations: variants trained on one renderer, scored, in a table."""
+
+import json
+
+import pytest
+import torch
+
+from angie.ablation import VARIANTS, ablate, broken_share, settings_of, table
+from angie.bundle import Bundle
+from angie.direct import DirectMotion
+from angie.evaluation.networks import EvaluationConfig
+from angie.presets import parse_overrides, preset
+from data_prep.errors import BadInput
+from mraa.run import RunConfig
+
+FEW = parse_overrides(
+    [
+        "train_vq.schedule.most_steps=4",
+        "train_gpt.schedule.most_steps=4",
+        "train_refiner.schedule.most_steps=4",
+    ]
+)
+SCORING = EvaluationConfig(images=False, videos_shown=0, fgd_steps=5)
+CPU = RunConfig(device="cpu")
+
+
+def run(dataset, bundle, output, variants):
+    return ablate(
+        dataset.path,
+        bundle.folder,
+        output,
+        variants=variants,
+        changes=FEW,
+        config=SCORING,
+        run=CPU,
+    )
+
+
+@pytest.fixture(scope="module")
+def made(dataset, bundle, tmp_path_factory):
+    output = tmp_path_factory.mktemp("ablation") / "out"
+    return output, run(dataset, bundle, output, ["no_quant", "no_cholesky", "no_refine"])
+
+
+def test_every_variant_is_a_bundle_on_one_renderer(made, bundle):
+    output, _ = made
+    bundles = {path.name: Bundle.open(path) for path in output.iterdir() if path.name[:2] == "no"}
+    assert set(bundles) == {"no_quant", "no_cholesky", "no_refine"}
+    assert {one.hash_of("renderer") for one in bundles.values()} == {bundle.hash_of("renderer")}
+    direct = bundles["no_quant"].generator()
+    assert isinstance(direct.vq, DirectMotion) and direct.gpt is None
+    assert bundles["no_quant"].parts == ["renderer", "statistics", "vq", "refiner", "avd"]
+    assert bundles["no_cholesky"].generator().channels.covariance
+    plain, full = bundles["no_refine"], Bundle.open(output / "full")
+    assert not plain.preset.generation.refine and full.preset.generation.refine
+    assert all(plain.hash_of(part) == full.hash_of(part) for part in ("vq", "gpt", "refiner"))
+
+
+def test_the_table_has_a_row_for_each_and_those_of_reference(made):
+    output, text = made
+    rows = [line.split("|")[1].strip() for line in text.splitlines()[2:]]
+    assert rows[-3:] == ["no_quant", "no_cholesky", "no_refine"] and "motionless" in rows
+    assert "FGD" in text.splitlines()[0] and (output / "table3.md").read_text() == text + "\n"
+    results = json.loads((output / "report" / "results.json").read_text())
+    scores = {row["name"]: row["scores"] for row in results["spaces"][0]["rows"]}
+    assert f"{scores['no_quant']['fgd']['mean']:.2f}" in text
+
+
+def test_a_repeated_run_goes_on_and_another_one_is_refused(made, dataset, bundle):
+    output, _ = made
+    before = {name: Bundle.open(output / name).manifest for name in ("no_quant", "full")}
+    run(dataset, bundle, output, ["no_quant"])
+    for name, manifest in before.items():
+        assert Bundle.open(output / name).manifest == manifest
+    with pytest.raises(BadInput, match="other settings"):
+        ablate(dataset.path, bundle.folder, output, variants=["full"], run=CPU)
+
+
+def test_summed_covariances_break_and_factors_do_not(made, dataset):
+    output, _ = made
+    from angie.evaluation.space import open_space
+
+    variant, full = Bundle.open(output / "no_cholesky"), Bundle.open(output / "full")
+    clips = open_space(dataset, full, output / "scratch", "cpu").test
+    assert broken_share(full, clips) == 0
+    generator = variant.generator()
+    assert 0 <= broken_share(variant, clips) <= 1
+    wild = torch.randn(50, 5 * generator.statistics.regions) * 50
+    start = clips[0].motion[:1].vector()[0]
+    assert generator.channels.broken(wild, start).any()
+    assert not full.generator().channels.broken(wild, start).any()
+
+
+def test_bad_requests(dataset, bundle, tmp_path):
+    with pytest.raises(BadInput, match="there are no_quant"):
+        run(dataset, bundle, tmp_path / "out", ["half"])
+    (tmp_path / "text").write_text("keep me")
+    with pytest.raises(BadInput, match="other files"):
+        run(dataset, bundle, tmp_path, ["full"])
+    assert [path.name for path in tmp_path.iterdir()] == ["text"]
+
+
+def test_a_variant_is_one_setting():
+    base = preset("paper")
+    for name in VARIANTS:
+        made = settings_of(base, name)
+        assert (made.vq.quant, made.generation.refine) == (
+            ("full", False) if name == "no_refine" else (name, True)
+        )
+
+
+def test_the_table_of_hand_made_numbers():
+    def score(value):
+        return {"mean": value, "interval": None}
+
+    keys = ("fgd", "bc", "diversity_ha2g", "l1", "perceptual", "aed")
+    numbers = {
+        "definitions": [{"key": key, "title": key.upper(), "digits": 1} for key in keys],
+        "spaces": [
+            {
+                "rows": [{"name": "full", "scores": {key: score(1.0) for key in keys[:3]}}],
+                "images": {
+                    "rows": [{"name": "full", "scores": {key: score(None) for key in keys[3:]}}]
+                },
+            }
+        ],
+    }
+    assert table(numbers, {"full": 0.25}).splitlines() == [
+        "|  | FGD | BC | DIVERSITY_HA2G | L1 | PERCEPTUAL | AED | C broken |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+        "| full | 1.0 | 1.0 | 1.0 | - | - | - | 25.0 % |",
+    ]
