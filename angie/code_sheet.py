@@ -12,10 +12,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from angie.animate import COMMENT, photo_crop, render, source_pose
+from angie.animate import COMMENT, render, source_pose
 from angie.bundle import Bundle
 from angie.generator import AngieGenerator
 from angie.motion import Motion
+from angie.subject import photo_crop
 from angie.vq import VQMotionExtractor
 from data_prep.errors import BadInput
 from data_prep.output import check_apart, check_output, whole_file
