@@ -1,13 +1,11 @@
 """The photo warped and blended at a size of its own, as one compiled loop over pixels."""
 
 import math
-from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-_JIT: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy"}
+from mraa.compiled import compiled
 
 STILL = np.float32(1 / 64)
 """Pixels; a shift below this leaves the photo's pixel as it is."""
@@ -16,7 +14,7 @@ SHOWN = np.float32(0.998)
 """Occlusion above which nothing generated is added: less than half of one 8-bit step."""
 
 
-@njit(**_JIT)
+@compiled
 def _cubic(t: float) -> tuple[float, float, float, float]:
     """Catmull-Rom weights of four neighbours, at `t` in [0, 1) after the second."""
     half = np.float32(0.5)
@@ -26,7 +24,7 @@ def _cubic(t: float) -> tuple[float, float, float, float]:
     return a, np.float32(1.0) - a - c - d, c, d
 
 
-@njit(**_JIT)
+@compiled
 def _sample(photo: NDArray[np.uint8], x: float, y: float) -> tuple[float, float, float]:
     """Colour of the photo at pixel (x, y), bicubic; outside lie its edges, continued."""
     height, width = photo.shape[:2]
@@ -53,7 +51,7 @@ def _sample(photo: NDArray[np.uint8], x: float, y: float) -> tuple[float, float,
     return red, green, blue
 
 
-@njit(**_JIT)
+@compiled
 def _row(
     image: NDArray[np.float32], places: NDArray[np.int32], weights: NDArray[np.float32],
     out: NDArray[np.float32],
@@ -65,7 +63,7 @@ def _row(
         out[i] = a * p[i] + b * q[i] + c * r[i] + d * s[i]
 
 
-@njit(**_JIT)
+@compiled
 def _between(
     line: NDArray[np.float32], places: NDArray[np.int32], weights: NDArray[np.float32]
 ) -> tuple[float, float, float]:
@@ -79,7 +77,7 @@ def _between(
     return x, y, z
 
 
-@njit(**_JIT)
+@compiled
 def draw(
     photo: NDArray[np.uint8],
     origin: tuple[int, int],

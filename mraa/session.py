@@ -126,16 +126,18 @@ class RenderSession:
         self, motion: Motion, background: Tensor | Iterable[Tensor] | None, *, painted: bool
     ) -> Iterator[Parts]:
         poses = _batches(_poses(motion, background), self.batch)
-        with ThreadPoolExecutor(self.workers, initializer=_one_thread) as pool:
-            threads = torch.get_num_threads()
-            running: deque[Future[Parts]] = deque()
-            for pose in poses:
-                running.append(pool.submit(self._batch, *pose, painted))
-                if len(running) > self.workers:
+        threads = torch.get_num_threads()
+        running: deque[Future[Parts]] = deque()
+        try:
+            with ThreadPoolExecutor(self.workers, initializer=_one_thread) as pool:
+                for pose in poses:
+                    running.append(pool.submit(self._batch, *pose, painted))
+                    if len(running) > self.workers:
+                        yield running.popleft().result()
+                while running:
                     yield running.popleft().result()
-            while running:
-                yield running.popleft().result()
-            torch.set_num_threads(threads)  # the count for new threads is the last one set
+        finally:  # also where nobody wants the rest
+            torch.set_num_threads(threads)  # what one thread sets is what new ones begin with
 
     def _batch(self, driving: Regions, background: Tensor, painted: bool) -> Parts:
         """Draw up to `batch` frames."""

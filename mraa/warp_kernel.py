@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic, overload
+
+from mraa.compiled import compiled
 
 NONE, SAME, PHASES = 0, 1, 2
 """How generated features lie: not there; pixel by pixel; four phases of doubled pixels.
@@ -22,8 +24,6 @@ NONE, SAME, PHASES = 0, 1, 2
 PHASES are `(b, h + 1, w + 1, 4 C)`: pixel (2 y + i, 2 x + j) is phase 2 i + j of place
 (y + i, x + j), as a 2x2 convolution with one pixel of padding leaves them.
 """
-
-_compiled: Any = njit(nogil=True, cache=True, error_model="numpy")
 
 
 @intrinsic
@@ -93,7 +93,7 @@ def _like_typed(value: Any, array: Any) -> Any:
     return plain
 
 
-@_compiled
+@compiled
 def _exp(x: float) -> float:
     """Exponential of a float32, to about one unit in the last place; 0 below -87."""
     x = min(max(x, np.float32(-87.0)), np.float32(88.0))
@@ -109,7 +109,7 @@ def _exp(x: float) -> float:
     return p * np.int32((np.int32(n) + np.int32(127)) << np.int32(23)).view(np.float32)
 
 
-@_compiled
+@compiled
 def _pixel(coordinate: float, size: int, corners: bool) -> float:
     """Pixel of a coordinate in [-1, 1], as grid_sample counts."""
     half = np.float32(0.5)
@@ -118,7 +118,7 @@ def _pixel(coordinate: float, size: int, corners: bool) -> float:
     return ((coordinate + np.float32(1.0)) * np.float32(size) - np.float32(1.0)) * half
 
 
-@_compiled
+@compiled
 def _taps(x: float, size: int) -> tuple[int, int, float, float]:
     """Two neighbouring pixels inside the picture and their weights; 0 for one outside."""
     x = min(max(x, np.float32(-2.0)), np.float32(size + 1))  # far outside is outside
@@ -131,7 +131,7 @@ def _taps(x: float, size: int) -> tuple[int, int, float, float]:
     return np.uintp(inside0), np.uintp(inside1), weight0, weight1  # unsigned: never from the end
 
 
-@_compiled
+@compiled
 def _between(i: int, size: int, small: int, corners: bool) -> tuple[int, int, float]:
     """Where pixel `i` of `size` lies among `small` pixels, as interpolate counts."""
     if corners:
@@ -144,7 +144,7 @@ def _between(i: int, size: int, small: int, corners: bool) -> tuple[int, int, fl
     return np.uintp(low), np.uintp(min(low + 1, small - 1)), x - np.float32(low)
 
 
-@_compiled
+@compiled
 def _flow_at(
     flow: np.ndarray,
     occlusion: np.ndarray,
@@ -173,7 +173,7 @@ def _flow_at(
     return x, y, o + c * occlusion[n, y1, x0] + d * occlusion[n, y1, x1]
 
 
-@_compiled
+@compiled
 def _far(matrix: np.ndarray, n: int, x: float, y: float) -> tuple[float, float]:
     """A point (x, y) moved by homography `n` of (b, 3, 3)."""
     depth = matrix[n, 2, 0] * x + matrix[n, 2, 1] * y + matrix[n, 2, 2]
@@ -182,7 +182,7 @@ def _far(matrix: np.ndarray, n: int, x: float, y: float) -> tuple[float, float]:
     return across / depth, down / depth
 
 
-@_compiled
+@compiled
 def gaussians(shift: np.ndarray, precision: np.ndarray, out: np.ndarray) -> None:
     """Heatmaps of regions, `exp(-0.5 (z - mu)^T P (z - mu))`.
 
@@ -203,7 +203,7 @@ def gaussians(shift: np.ndarray, precision: np.ndarray, out: np.ndarray) -> None
                 out[j, k, i] = _exp(np.float32(-0.5) * form)
 
 
-@_compiled
+@compiled
 def flow_input(
     small: np.ndarray,
     still: np.ndarray,
@@ -253,7 +253,7 @@ def flow_input(
                         out[n, j, i, 4 * k + 1 + e] = _like(value, out)
 
 
-@_compiled
+@compiled
 def flow_result(
     logits: np.ndarray,
     maps: np.ndarray,
@@ -303,7 +303,7 @@ def flow_result(
                 occlusion[n, j, i] = one / (one + _exp(-value[channels - 1]))
 
 
-@_compiled
+@compiled
 def blend(
     features: np.ndarray,
     flow: np.ndarray,
@@ -359,7 +359,7 @@ def blend(
                     out[n, j, i, e] = _like(value, out)
 
 
-@_compiled
+@compiled
 def join(phases: np.ndarray, skip: np.ndarray, out: np.ndarray) -> None:
     """Phases put in their places, with a skip behind them.
 
@@ -382,7 +382,7 @@ def join(phases: np.ndarray, skip: np.ndarray, out: np.ndarray) -> None:
                     out[n, j, i, channels + e] = skip[n, j, i, e]
 
 
-@_compiled
+@compiled
 def picture(
     photo: np.ndarray,
     flow: np.ndarray,

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 import torch
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 from torch import Tensor
 
+from mraa.compiled import compiled
 from mraa.folding import Kernel
 
 LANES = 16
@@ -226,10 +227,8 @@ _line2, _line4 = _make_input(2, line=True), _make_input(4, line=True)
 _output2, _output4 = _make_output(2, residual=False), _make_output(4, residual=False)
 _residual2, _residual4 = _make_output(2, residual=True), _make_output(4, residual=True)
 
-_compiled: Any = njit(nogil=True, cache=True, error_model="numpy")
 
-
-@_compiled
+@compiled
 def _near(first: int, i: int, length: int, step: int) -> tuple[int, float]:
     """Offset of row `first + i` of `length`, inside; and 0 for one outside, else 1."""
     at = first + i
@@ -237,21 +236,21 @@ def _near(first: int, i: int, length: int, step: int) -> tuple[int, float]:
     return min(max(at, 0), length - 1) * step, inside
 
 
-@_compiled
+@compiled
 def _near4(first: int, length: int, step: int) -> tuple[Any, Any]:
     a, b = _near(first, 0, length, step), _near(first, 1, length, step)
     c, d = _near(first, 2, length, step), _near(first, 3, length, step)
     return (a[0], b[0], c[0], d[0]), (a[1], b[1], c[1], d[1])
 
 
-@_compiled
+@compiled
 def _near6(first: int, length: int, step: int) -> tuple[Any, Any]:
     a, b = _near4(first, length, step)
     c, d = _near(first, 4, length, step), _near(first, 5, length, step)
     return (a[0], a[1], a[2], a[3], c[0], d[0]), (b[0], b[1], b[2], b[3], c[1], d[1])
 
 
-@_compiled
+@compiled
 def transform2(
     x: np.ndarray, scale: np.ndarray, shift: np.ndarray, first: int, count: int, out: np.ndarray
 ) -> None:
@@ -282,7 +281,7 @@ def transform2(
                 _input2(x, rows, columns, downs, acrosses, scale, shift, e, out, t * channels, step)
 
 
-@_compiled
+@compiled
 def transform4(
     x: np.ndarray, scale: np.ndarray, shift: np.ndarray, first: int, count: int, out: np.ndarray
 ) -> None:
@@ -305,7 +304,7 @@ def transform4(
                 _input4(x, rows, columns, downs, acrosses, scale, shift, e, out, t * channels, step)
 
 
-@_compiled
+@compiled
 def restore(
     products: np.ndarray,
     bias: np.ndarray,

@@ -5,9 +5,10 @@
 The plain path is MRAA's as a reader would write it, kept here: batches of one in float32, the
 source encoded anew for every frame. All ways are timed in turn in one run, several rounds, and
 each shows its best. Weights are random with the scale of trained ones (norms that have seen the
-photo, logits of unit size), or those of a bundle. GFLOP are those that are really computed; the
-share is of the machine's matrix rate in that type, measured here as well. PSNR is that of the
-pictures before they are rounded to 8 bits. Prints a table for each renderer.
+photo, logits so large that poses differ about as much as a trained renderer's, by 20 dB), or
+those of a bundle. GFLOP are those that are really computed; the share is of the machine's matrix
+rate in that type, measured here as well. PSNR is that of the pictures before they are rounded to
+8 bits. Prints a table for each renderer.
 """
 
 import argparse
@@ -72,8 +73,8 @@ def random_renderer(name: str, photo: Tensor) -> Renderer:
         )
     renderer.eval()
     regions = renderer.estimator(photo)
-    for layer, part in ((renderer.generator.final, 1.0), (renderer.flow.mask, 2.0),
-                        (renderer.flow.occlusion, 2.0)):  # fmt: skip
+    for layer, part in ((renderer.generator.final, 1.0), (renderer.flow.mask, 0.5),
+                        (renderer.flow.occlusion, 0.5)):  # fmt: skip
         seen: list[Tensor] = []
         hook = layer.register_forward_hook(lambda _, __, result, seen=seen: seen.append(result))
         renderer(photo, regions, poses(renderer, regions, 1, 0))
