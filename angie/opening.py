@@ -17,7 +17,7 @@ from angie.vq import VQMotionExtractor
 from data_prep.errors import BadInput
 from data_prep.output import check_output
 from mraa.renderer import Renderer, make_avd
-from mraa.training import load_initial
+from mraa.initial import load_initial
 from mraa.vgg import load_vgg19
 
 

@@ -26,7 +26,7 @@ from angie.vq import VQConfig
 from data_prep.errors import BadInput
 from mraa.pairs import Augmentation
 from mraa.renderer import GeneratorConfig, HourglassConfig, RendererConfig
-from mraa.training import RendererTraining
+from mraa.renderer_training import RendererTraining
 
 T = TypeVar("T")
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from mraa.affine import fix_sign, inverse
 from mraa.regions import RegionEstimator, Regions
-from mraa.transform import ThinPlate, random_thin_plate
+from mraa.transform import ThinPlate
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,14 @@ def equivariance(regions: Regions, transformed: Regions, transform: ThinPlate) -
 
 
 def equivariance_of(
-    estimator: RegionEstimator, frame: Tensor, regions: Regions, *, align_corners: bool
+    estimator: RegionEstimator,
+    frame: Tensor,
+    regions: Regions,
+    transform: ThinPlate,
+    *,
+    align_corners: bool,
 ) -> Equivariance:
-    """Equivariance losses of an estimator under one random transform of frames (B, 3, H, W)."""
-    transform = random_thin_plate(len(frame), frame.device)
+    """Equivariance losses of an estimator, given its regions of frames (B, 3, H, W)."""
     transformed = estimator(transform.image(frame, align_corners=align_corners))
     with torch.autocast(frame.device.type, enabled=False):
         return equivariance(regions, transformed, transform)

@@ -1,6 +1,7 @@
 """Training pairs: two frames of one clip, augmented alike (MRAA, section 4)."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -9,6 +10,7 @@ from torch import Tensor
 
 from data_prep.dataset import Clip, Dataset
 from data_prep.rates import IMAGE_SIZE
+from mraa.transform import PLATE_NUMBERS
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,15 @@ class Augmentation:
     zoom: float = 0.0
     """Not in the paper: cut both frames out alike, up to this fraction smaller, at a random
     place, so that other framings of a person are met in training."""
+
+
+class TrainingPair(NamedTuple):
+    """A pair of frames and what else is random about it; a batch of them has B in front."""
+
+    frames: Tensor
+    """(2, size, size, 3) uint8, source first."""
+    plate: Tensor
+    """(31,) float32 standard normal, for `mraa.transform.thin_plate`."""
 
 
 class FramePairs:
@@ -55,8 +66,8 @@ class FramePairs:
         """Number of clips."""
         return len(self.clips)
 
-    def draw(self, index: int, random: np.random.Generator) -> Tensor:
-        """A pair of clip `index`: (2, size, size, 3) uint8, source first."""
+    def draw(self, index: int, random: np.random.Generator) -> TrainingPair:
+        """A pair of clip `index`."""
         store = self.dataset.frames(self.clips[index])
         first = int(random.integers(len(store)))
         low = max(0, first - self.gap) if self.gap else 0
@@ -67,8 +78,9 @@ class FramePairs:
         if self.size < IMAGE_SIZE:
             small = (self.size, self.size)
             frames = [cv2.resize(f, small, interpolation=cv2.INTER_AREA) for f in frames]
-        pair = np.stack(frames)
-        return torch.from_numpy(augment(pair, self.augmentation, random))
+        pair = torch.from_numpy(augment(np.stack(frames), self.augmentation, random))
+        plate = torch.from_numpy(random.standard_normal(PLATE_NUMBERS, dtype=np.float32))
+        return TrainingPair(pair, plate)
 
 
 def augment(pair: np.ndarray, how: Augmentation, random: np.random.Generator) -> np.ndarray:

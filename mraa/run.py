@@ -13,19 +13,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.utils.data import DataLoader, Dataset, Sampler
+from torch.utils.data import DataLoader
 
 from data_prep.errors import BadInput
 from data_prep.progress import console, progress
+from mraa.batches import SEED_STRIDE, SeededItems, StepSampler
 from mraa.checkpoint import Scaler, checkpoint_identity, load_checkpoint, save_checkpoint
+from mraa.curves import Curves
+from mraa.sync_norm import synchronise
 
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
-
-_STRIDE = 1_000_003  # keeps the seeds of neighbouring steps and runs apart
 
 
 @dataclass(frozen=True)
@@ -74,59 +74,21 @@ def launch(config: RunConfig, *, resting: bool = False) -> "Fabric":
     from lightning_fabric.utilities.exceptions import MisconfigurationException
 
     logging.getLogger("lightning_fabric").setLevel(logging.WARNING)  # no line for each launch
-    world = max(config.devices, int(os.environ.get("WORLD_SIZE", "1")))
+    devices = int(os.environ.get("LOCAL_WORLD_SIZE", config.devices))  # torchrun's word counts
+    nodes = int(os.environ.get("GROUP_WORLD_SIZE", "1"))
     try:
         fabric = Fabric(
             accelerator=config.device,
-            devices=config.devices,
+            devices=devices,
+            num_nodes=nodes,
             precision=config.precision,  # type: ignore[arg-type]
-            strategy=DDPStrategy(find_unused_parameters=resting) if world > 1 else "auto",
+            strategy=DDPStrategy(find_unused_parameters=resting) if devices * nodes > 1 else "auto",
         )
         fabric.launch()
     except (ValueError, RuntimeError, MisconfigurationException) as error:
         reason = str(error).splitlines()[0]
         raise BadInput(f"--device, --devices or --precision: {reason}") from error
     return fabric
-
-
-class _StepSampler(Sampler[list[tuple[int, int]]]):
-    """Endless batches of (index, seed); batch i of rank r is a pure function of (seed, i, r)."""
-
-    def __init__(self, length: int, batch: int, seed: int, first: int, rank: int, world: int):
-        if batch % world:
-            raise BadInput(f"batch {batch} does not divide over {world} processes")
-        self.length, self.batch, self.seed = length, batch, seed
-        self.first, self.rank, self.world = first, rank, world
-        self._epoch, self._order = -1, np.arange(0)
-
-    def __iter__(self) -> Iterator[list[tuple[int, int]]]:
-        step = self.first
-        while True:
-            start = step * self.batch
-            share = range(self.rank, self.batch, self.world)
-            yield [self._item(start + offset) for offset in share]
-            step += 1
-
-    def _item(self, position: int) -> tuple[int, int]:
-        """Every epoch is one permutation of all items."""
-        epoch, place = divmod(position, self.length)
-        if self._epoch != epoch:
-            order = np.random.default_rng([self.seed, epoch]).permutation(self.length)
-            self._epoch, self._order = epoch, order
-        return int(self._order[place]), self.seed * _STRIDE + position
-
-
-class _Seeded(Dataset[Any]):
-    """Gives every item its own random generator, drawn from (seed, position)."""
-
-    def __init__(self, items: Any) -> None:
-        self.items = items
-
-    def __getitem__(self, key: tuple[int, int]) -> Any:
-        index, seed = key
-        if hasattr(self.items, "draw"):
-            return self.items.draw(index, np.random.default_rng(seed))
-        return self.items[index]
 
 
 class Run:
@@ -174,7 +136,8 @@ class Run:
         self._note = ""
         self._models: list[nn.Module] = []
         self._optimizer: torch.optim.Optimizer | None = None
-        self._curves: Any = None
+        self._curves: Curves | None = None
+        self._logged: dict[str, list[Tensor]] = {}
         torch.manual_seed(seed)
 
     @property
@@ -192,8 +155,10 @@ class Run:
     ) -> tuple[Any, torch.optim.Optimizer]:
         """Place model and optimiser, and restore both when resuming."""
         self._models, self._optimizer = [model], optimizer
-        if self.fabric.world_size > 1:
-            model = nn.SyncBatchNorm.convert_sync_batchnorm(model) if _cuda(self) else model
+        if self.fabric.world_size > 1 and _cuda(self):
+            model = nn.SyncBatchNorm.convert_sync_batchnorm(model)
+        elif self.fabric.world_size > 1:
+            synchronise(model)
         wrapped, placed = self.fabric.setup(model, optimizer)
         self._models, self._optimizer = [wrapped.module], placed
         if self.resume and self.checkpoint.exists():
@@ -215,24 +180,26 @@ class Run:
         """The loss scale; 16-bit training alone has one."""
         return getattr(self.fabric.strategy.precision, "scaler", None)
 
-    def batches(self, items: Any, batch_size: int) -> Iterator[Any]:
+    def batches(self, items: Any, batch_size: int, parts: int = 1) -> Iterator[Any]:
         """Endless batches from the step at which this run begins.
 
         Args:
             items: has `len` and either `items[index]` or `items.draw(index, generator)` with a
                 NumPy generator for what is random in an item.
-            batch_size: over all processes together.
+            batch_size: of a step, over all processes and parts together.
+            parts: batches that a step is computed in.
         """
-        sampler = _StepSampler(
+        sampler = StepSampler(
             len(items),
             batch_size,
             self.seed,
             self.first,
             self.fabric.global_rank,
             self.fabric.world_size,
+            parts,
         )
         loader: DataLoader[Any] = DataLoader(
-            _Seeded(items),
+            SeededItems(items),
             batch_sampler=sampler,
             num_workers=self.config.workers,
             pin_memory=_cuda(self),
@@ -250,8 +217,11 @@ class Run:
             with progress(self.stage, self.total, "steps", self.first) as advance:
                 for step in range(self.first, self.total):
                     self.step = step
-                    torch.manual_seed((self.seed * _STRIDE + step) * 64 + self.fabric.global_rank)
+                    torch.manual_seed(
+                        (self.seed * SEED_STRIDE + step) * 64 + self.fabric.global_rank
+                    )
                     yield step
+                    self._flush()
                     advance(1, self._note)
                     self.step = step + 1
                     if time.monotonic() - saved > self.config.checkpoint_seconds:
@@ -262,6 +232,17 @@ class Run:
         finally:
             if self._curves is not None:
                 self._curves.close()
+
+    def parts(self, model: Any, count: int) -> Iterator[int]:
+        """Parts of a step whose gradients add up: processes exchange them in the last one.
+
+        Args:
+            model: as `setup` returned it.
+            count: of parts; every loss has to be divided by it.
+        """
+        for part in range(count):
+            with self.fabric.no_backward_sync(model, enabled=part + 1 < count):
+                yield part
 
     def backward(self, loss: Tensor) -> None:
         """Gradients of a scalar loss, scaled and averaged as precision and devices ask."""
@@ -284,23 +265,32 @@ class Run:
             group["lr"] = base * factor**passed
 
     def log(self, **scalars: Tensor | float) -> None:
-        """Add points to the curves, every `log_every` steps, and show the first."""
-        last = self.step + 1 == self.total
-        if self.fabric.global_rank or (self.step % self.config.log_every and not last):
+        """Add points to the curves, every `log_every` steps, and show them.
+
+        The mean over processes counts, and over several calls in a step. Every process has to
+        give the same names.
+        """
+        if self.step % self.config.log_every == 0 or self.step + 1 == self.total:
+            for name, value in scalars.items():
+                number = torch.as_tensor(value, dtype=torch.float32, device=self.device)
+                self._logged.setdefault(name, []).append(number.detach())
+
+    def _flush(self) -> None:
+        if not self._logged:
             return
-        values = {name: float(torch.as_tensor(value).detach()) for name, value in scalars.items()}
+        means = torch.stack([torch.stack(values).mean() for values in self._logged.values()])
+        means = self.fabric.all_reduce(means, reduce_op="mean")  # type: ignore[assignment]
+        values = dict(zip(self._logged, means.tolist(), strict=True))
+        self._logged.clear()
         self._note = "  ".join(f"{name} {value:.4g}" for name, value in values.items())
-        for name, value in values.items():
-            self.curves.add_scalar(name, value, self.step)
+        if self.fabric.global_rank == 0:
+            self.curves.add(self.step, values)
 
     @property
-    def curves(self) -> Any:
-        """TensorBoard writer of this stage."""
+    def curves(self) -> Curves:
+        """Curves of this stage; the first process alone writes them."""
         if self._curves is None:
-            from torch.utils.tensorboard import SummaryWriter
-
-            folder = self.folder / "curves" / self.stage
-            self._curves = SummaryWriter(str(folder), purge_step=self.first)
+            self._curves = Curves(self.folder / "curves", self.stage, self.first)
         return self._curves
 
     def save(self) -> None:
@@ -318,6 +308,8 @@ class Run:
                 self.config.identity,
                 self._scaler,
             )
+            if self._curves is not None:
+                self._curves.write()
 
 
 def _cuda(run: Run) -> bool:

@@ -75,9 +75,8 @@ def sample_sheet(renderer: Renderer, source: Tensor, driving: Tensor, rows: int 
     return np.concatenate([np.concatenate(list(c)) for c in ordered], axis=1)
 
 
-def write_sheet(path: Path, renderer: Renderer, source: Tensor, driving: Tensor) -> None:
-    """Write `sample_sheet` as PNG, making its folder."""
+def write_sheet(path: Path, sheet: np.ndarray) -> None:
+    """Write a sheet (H, W, 3) uint8 RGB as PNG, making its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    sheet = sample_sheet(renderer, source, driving)
     # OpenCV itself does not write to every name on every system
     path.write_bytes(cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))[1].tobytes())

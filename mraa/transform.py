@@ -70,8 +70,16 @@ def _grid_basis(height: int, width: int, device: torch.device) -> Tensor:
     return _basis(coordinate_grid(height, width, device).view(-1, 2))
 
 
+PLATE_NUMBERS = 6 + PLATE_POINTS**2
+"""Random numbers that make a transform."""
+
+
+def thin_plate(noise: Tensor) -> ThinPlate:
+    """Transforms from standard normal numbers (B, `PLATE_NUMBERS`)."""
+    affine = torch.eye(2, 3, device=noise.device) + AFFINE_SIGMA * noise[:, :6].unflatten(1, (2, 3))
+    return ThinPlate(affine, PLATE_SIGMA * noise[:, None, 6:])
+
+
 def random_thin_plate(batch: int, device: torch.device | None = None) -> ThinPlate:
     """Draw B transforms from torch's current random state."""
-    noise = AFFINE_SIGMA * torch.randn(batch, 2, 3, device=device)
-    coefficients = PLATE_SIGMA * torch.randn(batch, 1, PLATE_POINTS**2, device=device)
-    return ThinPlate(noise + torch.eye(2, 3, device=device), coefficients)
+    return thin_plate(torch.randn(batch, PLATE_NUMBERS, device=device))

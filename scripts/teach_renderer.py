@@ -26,10 +26,10 @@ from data_prep.dataset import Dataset
 from data_prep.progress import progress
 from mraa.allocator import keep_memory
 from mraa.grid import coordinate_grid
+from mraa.initial import load_initial
 from mraa.pairs import Augmentation, augment
 from mraa.perceptual import PerceptualPyramid
 from mraa.renderer import Renderer, from_pixels
-from mraa.training import load_initial
 
 REGION_STEPS, MASK_STEPS, RATE, SEED, SIZE = 900, 1500, 1e-3, 0, 256
 JITTER = Augmentation(0, 0, brightness=0.2, contrast=0.3, saturation=0.8, hue=0.3)

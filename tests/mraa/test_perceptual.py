@@ -5,7 +5,7 @@ from data_prep.errors import BadInput
 from mraa.image_metrics import ssim
 from mraa.perceptual import PerceptualPyramid
 from mraa.pyramid import ImagePyramid, laplacian_distance
-from mraa.training import RendererTraining
+from mraa.renderer_training import RendererTraining
 from mraa.vgg import Vgg, load_vgg19, random_vgg
 
 

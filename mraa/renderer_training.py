@@ -1,0 +1,103 @@
+"""How the renderer is trained: every number of it."""
+
+from dataclasses import dataclass, field
+
+from mraa.pairs import Augmentation
+from mraa.perceptual import BACKENDS, backend_of
+from mraa.pyramid import PYRAMID_SCALES
+
+
+@dataclass(frozen=True)
+class RendererTraining:
+    """How the renderer is trained; the defaults are MRAA's for 256x256."""
+
+    epochs: int = 100
+    repeats: int = 75
+    """Times that an epoch goes over the clips."""
+    steps: int = 0
+    """Optimiser steps; 0 for what epochs, repeats and the data give."""
+    batch: int = 14
+    """Pairs of an optimiser step, over all processes and parts together."""
+    accumulate: int = 1
+    """Parts that a batch is computed in, one after the other, for devices of little memory; each
+    has its own batch norm statistics."""
+    ema: float = 0.0
+    """Not in the paper: decay of a moving average of the weights, such as 0.999, which is then
+    what is evaluated and published; 0 for none."""
+    rate: float = 2e-4
+    betas: tuple[float, float] = (0.5, 0.999)
+    milestones: tuple[float, ...] = (0.6, 0.9)
+    """Parts of the run after which the rate falls to a tenth (epochs 60 and 90 of 100)."""
+    perceptual_backend: str = "auto"
+    """What compares the pictures: vgg19, random_vgg, lap or random_vgg+lap (see
+    `mraa.perceptual`); auto is vgg19 where its weights are given, else random_vgg+lap."""
+    perceptual_weights: str = ""
+    """File of VGG19's weights, torchvision's state dict as .pth or .safetensors."""
+    perceptual_width: int = 32
+    """Width of the fixed random network."""
+    perceptual_scales: tuple[float, ...] = PYRAMID_SCALES
+    """Resolutions at which deep features are compared; on a CPU the full one costs most."""
+    perceptual: float = 10.0
+    equivariance_shift: float = 10.0
+    equivariance_affine: float = 10.0
+    occlusion_cost: float = 0.0
+    """Not in the paper: weight of mean(1 - occlusion), so that the generator paints only where the
+    deformed source cannot serve; a person unlike those of the training then stays that person."""
+    blend: float = 0.0
+    """Not in the paper: weight, beside `perceptual`, of the warm-up's loss in the main course. It
+    holds the masks on what they have found while the generator is still poor."""
+    clip: float = 10.0
+    """Largest norm of the gradients; those of the affine grow for round regions."""
+    augmentation: Augmentation = field(default_factory=Augmentation)
+    initial: str = ""
+    """Not in the paper: weights to begin with, a bundle or a `renderer.safetensors` of the same
+    sizes."""
+    teacher: str = ""
+    """A bundle whose region estimator, frozen, says where the regions are (knowledge distillation,
+    as ANGIE has it); it has to have as many regions, of whatever other sizes it is."""
+    distill_weight: float = 0.0
+    """Weight of |mu - mu_T| + |L - L_T|, means over both frames, with a teacher."""
+    freeze_estimator: bool = False
+    """Not in the paper: keep the region estimator as it is (a teacher); no equivariance losses."""
+    sheet_every: int = 500
+    """Steps between sheets of samples."""
+    warmup_steps: int = 0
+    """Not in the paper: steps before the others in which the deformed sources, blended by the
+    masks, have to match the small driving frame; the generator rests. A blend of pictures tells a
+    mask which region fits however far that moved, a blend of flows only how to move a little, and a
+    generator would paint a blur over what moves before any region has found it. Images are reduced
+    to `warmup_size`, which estimator and flow predictor see at the same resolution as later."""
+    warmup_size: int = 128
+    warmup_gap: int = 12
+    """Largest distance in frames of a pair in the warm-up: hands that jump across the picture give
+    no gradient to a region that is not on them yet."""
+
+    def __post_init__(self) -> None:
+        counts = (self.batch, self.accumulate, self.epochs, self.repeats, self.sheet_every)
+        if min(counts) < 1 or self.steps < 0:
+            raise ValueError("batch, accumulate, epochs, repeats, sheet_every must be positive")
+        if self.batch % self.accumulate:
+            raise ValueError(f"batch {self.batch} does not divide into {self.accumulate} parts")
+        if not 0 <= self.ema < 1 or self.distill_weight < 0:
+            raise ValueError("ema must lie in [0, 1), distill_weight not be negative")
+        if bool(self.teacher) != (self.distill_weight > 0):
+            raise ValueError("teacher and distill_weight belong together")
+        if self.teacher and self.freeze_estimator:
+            raise ValueError("a frozen estimator learns nothing from a teacher")
+        if not 0 < self.rate < 1 or not all(0 <= beta < 1 for beta in self.betas):
+            raise ValueError("rate and betas must lie between 0 and 1")
+        if self.clip <= 0 or min(self.warmup_steps, self.warmup_gap, self.augmentation.zoom) < 0:
+            raise ValueError("clip must be positive, warm-up and zoom not negative")
+        if self.augmentation.zoom >= 1 or not self.perceptual_scales:
+            raise ValueError("zoom must lie below 1, and perceptual_scales name at least one")
+        if self.perceptual_backend not in ("auto", *BACKENDS):
+            raise ValueError(f"perceptual_backend is auto, {', '.join(BACKENDS)}")
+        if self.backend == "vgg19" and not self.perceptual_weights:
+            raise ValueError("perceptual_backend vgg19 needs its file in perceptual_weights")
+        if self.warmup_size not in (64, 128, 256):
+            raise ValueError("warmup_size is 64, 128 or 256")
+
+    @property
+    def backend(self) -> str:
+        """Name of the perceptual backend that these settings mean."""
+        return backend_of(self.perceptual_backend, self.perceptual_weights)
