@@ -11,13 +11,13 @@ from torch import nn
 from angie.bundle import Bundle
 from angie.direct import DirectMotion
 from angie.gpt import CoSpeechGPT
+from angie.other_bundles import initial_weights, teacher_of
 from angie.presets import Preset, override
 from angie.refiner import Refiner
 from angie.vq import VQMotionExtractor
 from data_prep.errors import BadInput
 from data_prep.output import check_output
 from mraa.renderer import Renderer, make_avd
-from mraa.initial import load_initial
 from mraa.vgg import load_vgg19
 
 
@@ -46,8 +46,11 @@ def try_out(settings: Preset) -> None:
             raise BadInput(f"{name}: no network can have these sizes ({reason})") from error
         if any(weights.numel() == 0 for weights in model.parameters()):
             raise BadInput(f"{name}: no network can have these sizes (a width of 0)")
-        if isinstance(model, Renderer) and settings.train_renderer.initial:
-            load_initial(model, Path(settings.train_renderer.initial))
+    if settings.points:
+        return
+    if settings.train_renderer.initial:
+        initial_weights(settings.train_renderer, settings.renderer)
+    teacher_of(settings.train_renderer, settings.renderer)
 
 
 def open_or_create(

@@ -96,8 +96,8 @@ def train_vq(
             use[f"{name}_perplexity"] = stream.codebook.perplexity()
             use[f"{name}_used"] = stream.codebook.used()
         if held_out is not None and (step + 1) % every == 0 and run.fabric.global_rank == 0:
-            for name, value in reconstruction(vq, held_out).items():
-                run.curves.add_scalar(f"held_out_{name}", value, step)
+            scores = reconstruction(vq, held_out)
+            run.curves.add(step, {f"held_out_{name}": value for name, value in scores.items()})
         run.log(loss=loss, **errors, commitment=result.commitment, **use)
     vq.eval()
     vq.mean.copy_(mean_for_activity(patterns(vq, windows).split(64)))

@@ -14,6 +14,7 @@ from angie.extraction import extract_dataset
 from angie.keypoints import INDEX, KeypointDataset
 from angie.motion import Motion, read_motion
 from angie.opening import open_or_create
+from angie.other_bundles import initial_weights, teacher_of
 from angie.presets import Preset, of_points
 from angie.reports import gpt_report, vq_report
 from angie.statistics import MotionStatistics, measure
@@ -93,14 +94,19 @@ class Trainer:
         """Train the renderer and measure its self-reconstruction on the test clips."""
         assert isinstance(self.dataset, Dataset)  # joints have no renderer
         preset = self.bundle.preset
+        training = preset.train_renderer
+        if training.initial:
+            weights = initial_weights(training, preset.renderer)
+            training = replace(training, initial=str(weights))
         renderer = train_renderer(
             self.dataset,
             preset.renderer,
-            preset.train_renderer,
+            training,
             self.bundle.train,
             seed=self.seed,
             run_config=self.how("renderer", self.run.precision),
             resume=self.resume,
+            teacher=teacher_of(training, preset.renderer),
         )
         report: dict[str, Any] = {
             "perceptual": preset.train_renderer.backend,

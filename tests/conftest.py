@@ -15,7 +15,7 @@ from data_prep.prepare import prepare
 FEW_STEPS = (
     "train_renderer.batch=2",
     "train_renderer.steps=200",
-    "train_vq.schedule.most_steps=40",
+    "train_vq.schedule.most_steps=80",
     "train_gpt.schedule.most_steps=30",
     "train_refiner.schedule.most_steps=20",
 )

@@ -1,0 +1,56 @@
+import dataclasses
+
+import pytest
+
+from angie.bundle import Bundle
+from angie.demo import BUNDLE
+from angie.other_bundles import initial_weights, teacher_of
+from angie.presets import preset
+from data_prep.errors import BadInput
+from mraa.renderer_training import RendererTraining
+
+SHIPPED = Bundle.open(BUNDLE).preset.renderer
+
+
+def test_a_bundle_gives_the_file_of_its_renderer():
+    training = RendererTraining(initial=str(BUNDLE))
+    assert initial_weights(training, SHIPPED) == BUNDLE / "renderer.safetensors"
+
+
+def test_the_setting_that_differs_is_named():
+    training = RendererTraining(initial=str(BUNDLE))
+    generator = dataclasses.replace(SHIPPED.generator, width=96)
+    other = dataclasses.replace(SHIPPED, generator=generator)
+    width = SHIPPED.generator.width
+    with pytest.raises(BadInput, match=f"has renderer.generator.width={width}, this training 96"):
+        initial_weights(training, other)
+    file = RendererTraining(initial=str(BUNDLE / "renderer.safetensors"))
+    with pytest.raises(BadInput, match="there and .* here"):
+        initial_weights(file, other)
+    with pytest.raises(BadInput, match="not the weights of a renderer"):
+        initial_weights(RendererTraining(initial="/nonexistent"), SHIPPED)
+
+
+def test_a_teacher_may_have_other_sizes_but_as_many_regions():
+    training = RendererTraining(teacher=str(BUNDLE), distill_weight=1.0)
+    paper = preset("paper").renderer
+    estimator = teacher_of(training, paper)
+    assert estimator is not None and not estimator.training
+    assert not any(p.requires_grad for p in estimator.parameters())
+    with pytest.raises(BadInput, match="has 20 regions, this renderer 10; set renderer.regions=20"):
+        teacher_of(training, preset("tiny").renderer)
+    with pytest.raises(BadInput, match="not a speaker bundle"):
+        teacher_of(dataclasses.replace(training, teacher="/nonexistent"), paper)
+    assert teacher_of(RendererTraining(), paper) is None
+
+
+def test_settings_that_make_no_sense_together_are_told():
+    for changes, words in (
+        ({"teacher": "a"}, "belong together"),
+        ({"distill_weight": 1.0}, "belong together"),
+        ({"teacher": "a", "distill_weight": 1.0, "freeze_estimator": True}, "learns nothing"),
+        ({"ema": 1.0}, "ema must lie"),
+        ({"batch": 9, "accumulate": 2}, "does not divide"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            RendererTraining(**changes)
