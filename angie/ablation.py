@@ -91,8 +91,9 @@ def ablate(
         raise BadInput(f"{bundle}: the ablations are of regions")
     base = override(source.preset, changes or {})
     base = replace(settings_of(base, "full"), generation=replace(base.generation, refine=True))
+    training = replace(base.train_renderer, initial="")  # whose weights are not needed again
     for name in variants:
-        try_out(settings_of(base, name))
+        try_out(settings_of(replace(base, train_renderer=training), name))
     origin = {
         "renderer": source.hash_of("renderer"),
         "dataset_sha256": data.digest,

@@ -7,6 +7,7 @@ import torch
 
 from angie.ablation import VARIANTS, ablate, broken_share, settings_of, table
 from angie.bundle import Bundle
+from angie.demo import BUNDLE
 from angie.direct import DirectMotion
 from angie.evaluation.networks import EvaluationConfig
 from angie.presets import parse_overrides, preset
@@ -98,6 +99,12 @@ def test_bad_requests(dataset, bundle, tmp_path):
     with pytest.raises(BadInput, match="other files"):
         run(dataset, bundle, tmp_path, ["full"])
     assert [path.name for path in tmp_path.iterdir()] == ["text"]
+
+
+def test_weights_that_the_renderer_began_with_are_not_needed(dataset, tmp_path):
+    with pytest.raises(BadInput, match="other files"):  # and not: no such weights
+        (tmp_path / "text").touch()
+        ablate(dataset.path, BUNDLE, tmp_path, variants=["full"], run=CPU)
 
 
 def test_a_variant_is_one_setting():
