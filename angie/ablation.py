@@ -91,7 +91,7 @@ def ablate(
         raise BadInput(f"{bundle}: the ablations are of regions")
     base = override(source.preset, changes or {})
     base = replace(settings_of(base, "full"), generation=replace(base.generation, refine=True))
-    training = replace(base.train_renderer, initial="")  # whose weights are not needed again
+    training = replace(base.train_renderer, initial="", teacher="")  # not needed again
     for name in variants:
         try_out(settings_of(replace(base, train_renderer=training), name))
     origin = {
