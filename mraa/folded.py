@@ -112,7 +112,7 @@ class FoldedFlow:
         self.shape = (count, 4 * (regions.shift.shape[1] + 1), height, width)
         self.dtype, self.corners = dtype, predictor.align_corners
         self.revert = predictor.revert_axis_swap
-        self.small = small[0].permute(1, 2, 0).contiguous().numpy()
+        self.small = warp_kernel.framed(small[0].permute(1, 2, 0).numpy())
         self.regions = regions
         self.still = np.empty((height, regions.shift.shape[1], width), np.float32)
         warp_kernel.gaussians(regions.shift[0].numpy(), _precision(regions)[0], self.still)
@@ -329,7 +329,8 @@ class Folded:
     """
 
     def __init__(self, renderer: Renderer, source: Source, count: int, dtype: torch.dtype) -> None:
-        self.photo = source.image[0].permute(1, 2, 0).contiguous().numpy()
+        self.size = source.image.shape[2:]
+        self.photo = warp_kernel.framed(source.image[0].permute(1, 2, 0).numpy())
         self.flow = FoldedFlow(renderer.flow, source.small, source.regions, count, dtype)
         self.generator = fold_generator(renderer.generator, source.features, count, dtype)
 
@@ -338,7 +339,7 @@ class Folded:
         """Draw B frames; without `painted` the generated picture is left out (of size 0)."""
         field = self.flow(driving, background)
         logits = self.generator(field)
-        count, (height, width) = len(field.flow), self.photo.shape[:2]
+        count, (height, width) = len(field.flow), self.size
         made = np.empty((count, 3, height, width) if painted else (0, 3, 0, 0), np.float32)
         frames = np.empty((count, height, width, 3), np.uint8)
         warp_kernel.picture(
