@@ -21,8 +21,8 @@ from mraa.compiled import compiled
 NONE, SAME, PHASES = 0, 1, 2
 """How generated features lie: not there; pixel by pixel; four phases of doubled pixels.
 
-PHASES are `(b, h + 1, w + 1, 4 C)`: pixel (2 y + i, 2 x + j) is phase 2 i + j of place
-(y + i, x + j), as a 2x2 convolution with one pixel of padding leaves them.
+PHASES are `(b, h + 1, w + 1, 4 C)`, or more places that mean nothing: pixel (2 y + i, 2 x + j) is
+phase 2 i + j of place (y + i, x + j), as a 2x2 convolution with one pixel of padding leaves them.
 """
 
 
@@ -427,7 +427,7 @@ def join(phases: np.ndarray, skip: np.ndarray, out: np.ndarray) -> None:
     """Phases put in their places, with a skip behind them.
 
     Args:
-        phases: (b, h + 1, w + 1, 4 C).
+        phases: (b, h + 1, w + 1, 4 C) or larger.
         skip: (b, 2 h, 2 w, S).
         out: (b, 2 h, 2 w, C + S), written.
     """
