@@ -10,7 +10,8 @@ def compiled(function: Callable[..., Any]) -> Any:
     """Compile a function for numbers and arrays at its first call; it holds no lock while it runs.
 
     What was compiled is kept beside the module, or in the user's cache where that cannot be
-    written, so that only the first run compiles; where neither can, every run does.
+    written, so that only the first run compiles; where neither can, every run does. Numba compiles
+    anew when that module's file changes: compiled functions that it calls belong into the same.
     """
     settings: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
     try:

@@ -21,9 +21,15 @@ from mraa.compiled import compiled
 NONE, SAME, PHASES = 0, 1, 2
 """How generated features lie: not there; pixel by pixel; four phases of doubled pixels.
 
-PHASES are `(b, h + 1, w + 1, 4 C)`: pixel (2 y + i, 2 x + j) is phase 2 i + j of place
-(y + i, x + j), as a 2x2 convolution with one pixel of padding leaves them.
+PHASES are `(b, h + 1, w + 1, 4 C)`, or more places that mean nothing: pixel (2 y + i, 2 x + j) is
+phase 2 i + j of place (y + i, x + j), as a 2x2 convolution with one pixel of padding leaves them.
 """
+
+
+def framed(image: np.ndarray) -> np.ndarray:
+    """A picture (H, W, 3) as planes (3, (H + 3) (W + 3)) with zeros around, where warps end."""
+    planes = np.pad(image.transpose(2, 0, 1), ((0, 0), (1, 2), (1, 2)))
+    return np.ascontiguousarray(planes, np.float32).reshape(3, -1)
 
 
 @intrinsic
@@ -183,6 +189,60 @@ def _far(matrix: np.ndarray, n: int, x: float, y: float) -> tuple[float, float]:
 
 
 @compiled
+def _row_taps(
+    across: np.ndarray,
+    down: np.ndarray,
+    height: int,
+    width: int,
+    corners: bool,
+    place: np.ndarray,
+    u: np.ndarray,
+    v: np.ndarray,
+) -> None:
+    """Where coordinates (x, y) fall in a picture that `framed` gave.
+
+    Args:
+        across: (n,) float32 x in [-1, 1].
+        down: (n,) float32 y in [-1, 1].
+        height: of the picture without its frame.
+        width: of the picture without its frame.
+        corners: whether -1 and 1 are centres of the corner pixels.
+        place: (n,) int32, written: number of the upper left one of four pixels.
+        u: (n,) float32, written: part of the way to the right ones.
+        v: (n,) float32, written: part of the way to the lower ones.
+    """
+    wide = np.int32(width + 3)
+    most = np.int32((height + 2) * (width + 3) - 2)
+    for i in range(len(place)):
+        x = _pixel(across[i], width, corners) + np.float32(1.0)
+        y = _pixel(down[i], height, corners) + np.float32(1.0)
+        x = min(max(x, np.float32(0.0)), np.float32(width + 1))  # far outside is outside
+        y = min(max(y, np.float32(0.0)), np.float32(height + 1))
+        left, top = np.int32(x), np.int32(y)
+        u[i], v[i] = x - np.float32(left), y - np.float32(top)
+        place[i] = min(max(np.int32(top * wide + left), np.int32(0)), most)  # even for a NaN
+
+
+@compiled
+def _row_sample(
+    picture: np.ndarray,
+    plane: int,
+    wide: int,
+    place: np.ndarray,
+    u: np.ndarray,
+    v: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """One colour of a framed picture (3, pixels), rows of `wide`, at what `_row_taps` gave."""
+    for i in range(len(place)):
+        a, b = picture[plane, np.uint32(place[i])], picture[plane, np.uint32(place[i] + 1)]
+        c = picture[plane, np.uint32(place[i] + wide)]
+        d = picture[plane, np.uint32(place[i] + wide + 1)]
+        upper, lower = a + u[i] * (b - a), c + u[i] * (d - c)
+        out[plane, i] = upper + v[i] * (lower - upper)
+
+
+@compiled
 def gaussians(shift: np.ndarray, precision: np.ndarray, out: np.ndarray) -> None:
     """Heatmaps of regions, `exp(-0.5 (z - mu)^T P (z - mu))`.
 
@@ -217,7 +277,7 @@ def flow_input(
     """What the flow predictor sees: for every region heatmap difference and deformed source.
 
     Args:
-        small: (h, w, 3) float32, the small source.
+        small: (3, pixels) float32, the small source (h, w, 3), `framed`.
         still: (h, K, w) float32, `gaussians` of the source.
         shift: (b, K, 2) float32 of the driving regions.
         precision: (b, K, 3) float32 of the driving regions.
@@ -226,31 +286,34 @@ def flow_input(
         corners: whether -1 and 1 are centres of the corner pixels.
         out: (b, h, w, 4 (K + 1)), written; the background comes first.
     """
-    height, width = small.shape[:2]
-    regions = shift.shape[1]
+    height, regions, width = still.shape
     moving = np.empty(still.shape, np.float32)
+    across, down = np.empty(width, np.float32), np.empty(width, np.float32)
+    u, v, place = np.empty_like(across), np.empty_like(across), np.empty(width, np.int32)
+    colour = np.empty((3, width), np.float32)
+    wide = np.int32(width + 3)
     for n in range(len(shift)):
         gaussians(shift[n], precision[n], moving)
         for j in range(height):
             y = np.float32(2 * j) / np.float32(height - 1) - np.float32(1.0)
-            for i in range(width):
-                x = np.float32(2 * i) / np.float32(width - 1) - np.float32(1.0)
-                for k in range(regions + 1):
+            for k in range(regions + 1):
+                for i in range(width):
+                    x = np.float32(2 * i) / np.float32(width - 1) - np.float32(1.0)
                     if k == 0:
-                        across, down = _far(background, n, x, y)
-                        difference = np.float32(0.0)
+                        across[i], down[i] = _far(background, n, x, y)
+                        out[n, j, i, 0] = _like(np.float32(0.0), out)
                     else:
-                        across = maps[n, k - 1, 0] * x + maps[n, k - 1, 1] * y + maps[n, k - 1, 2]
-                        down = maps[n, k - 1, 3] * x + maps[n, k - 1, 4] * y + maps[n, k - 1, 5]
-                        difference = moving[j, k - 1, i] - still[j, k - 1, i]
-                    out[n, j, i, 4 * k] = _like(difference, out)
-                    x0, x1, u0, u1 = _taps(_pixel(across, width, corners), width)
-                    y0, y1, v0, v1 = _taps(_pixel(down, height, corners), height)
-                    a, b, c, d = v0 * u0, v0 * u1, v1 * u0, v1 * u1
-                    for e in range(3):
-                        value = a * small[y0, x0, e] + b * small[y0, x1, e]
-                        value += c * small[y1, x0, e] + d * small[y1, x1, e]
-                        out[n, j, i, 4 * k + 1 + e] = _like(value, out)
+                        m = k - 1
+                        across[i] = maps[n, m, 0] * x + maps[n, m, 1] * y + maps[n, m, 2]
+                        down[i] = maps[n, m, 3] * x + maps[n, m, 4] * y + maps[n, m, 5]
+                        out[n, j, i, 4 * k] = _like(moving[j, m, i] - still[j, m, i], out)
+                _row_taps(across, down, height, width, corners, place, u, v)
+                for e in range(3):
+                    _row_sample(small, e, wide, place, u, v, colour)
+                for i in range(width):
+                    out[n, j, i, 4 * k + 1] = _like(colour[0, i], out)
+                    out[n, j, i, 4 * k + 2] = _like(colour[1, i], out)
+                    out[n, j, i, 4 * k + 3] = _like(colour[2, i], out)
 
 
 @compiled
@@ -364,7 +427,7 @@ def join(phases: np.ndarray, skip: np.ndarray, out: np.ndarray) -> None:
     """Phases put in their places, with a skip behind them.
 
     Args:
-        phases: (b, h + 1, w + 1, 4 C).
+        phases: (b, h + 1, w + 1, 4 C) or larger.
         skip: (b, 2 h, 2 w, S).
         out: (b, 2 h, 2 w, C + S), written.
     """
@@ -396,7 +459,7 @@ def picture(
     """The frames: sigmoid of the generator's logits, blended with the warped photo.
 
     Args:
-        photo: (H, W, 3) float32 in [0, 1].
+        photo: (3, pixels) float32 in [0, 1], (H, W, 3), `framed`.
         flow: as in `blend`.
         occlusion: as in `blend`.
         corners: as in `blend`.
@@ -405,13 +468,21 @@ def picture(
         painted: (b, 3, H, W) float32, written: the generated picture; or of size 0.
         out: (b, H, W, 3) uint8, written.
     """
-    height, width = photo.shape[:2]
+    height, width = out.shape[1:3]
     one = np.float32(1.0)
     line = np.empty(width, np.float32)
-    made = np.empty((3, width), np.float32)
-    place = np.empty((3, width), np.float32)  # pixel x and y, occlusion
+    made, seen = np.empty((3, width), np.float32), np.zeros((3, width), np.float32)
+    across, down, shown = np.empty_like(line), np.empty_like(line), np.zeros_like(line)
+    u, v, place = np.empty_like(line), np.empty_like(line), np.empty(width, np.int32)
+    wide = np.int32(width + 3)
     for n in range(len(out)):
         for j in range(height):
+            if warped:
+                rows = _between(j, height, flow.shape[1], corners)
+                for i in range(width):
+                    columns = _between(i, width, flow.shape[2], corners)
+                    across[i], down[i], shown[i] = _flow_at(flow, occlusion, n, rows, columns)
+                _row_taps(across, down, height, width, corners, place, u, v)
             for e in range(3):
                 first = 4 * e + 2 * (j % 2)
                 for i in range(width // 2):
@@ -419,27 +490,11 @@ def picture(
                     line[2 * i + 1] = _load(logits[n, j // 2, i, first + 1])
                 for i in range(width):
                     made[e, i] = one / (one + _exp(-line[i]))
-            if painted.size:
-                painted[n, :, j] = made
-            place[2] = 0.0
-            if warped:
-                rows = _between(j, height, flow.shape[1], corners)
+                if warped:
+                    _row_sample(photo, e, wide, place, u, v, seen)
                 for i in range(width):
-                    columns = _between(i, width, flow.shape[2], corners)
-                    place[0, i], place[1, i], place[2, i] = _flow_at(
-                        flow, occlusion, n, rows, columns
-                    )
-                for i in range(width):
-                    place[0, i] = _pixel(place[0, i], width, corners)
-                    place[1, i] = _pixel(place[1, i], height, corners)
-            for i in range(width):
-                x0, x1, u0, u1 = _taps(place[0, i], width)
-                y0, y1, v0, v1 = _taps(place[1, i], height)
-                shown = place[2, i]
-                a, b, c, d = v0 * u0, v0 * u1, v1 * u0, v1 * u1
-                for e in range(3):
-                    seen = a * photo[y0, x0, e] + b * photo[y0, x1, e]
-                    seen += c * photo[y1, x0, e] + d * photo[y1, x1, e]
-                    value = seen * shown + made[e, i] * (one - shown)
+                    value = seen[e, i] * shown[i] + made[e, i] * (one - shown[i])
                     value = min(max(value, np.float32(0.0)), one)
                     out[n, j, i, e] = np.uint8(value * np.float32(255.0) + np.float32(0.5))
+            if painted.size:
+                painted[n, :, j] = made

@@ -1,9 +1,10 @@
-"""3x3 convolutions by Winograd's minimal filtering: 4 or 2.25 products a pixel in place of 9.
+"""Convolutions by Winograd's minimal filtering: 4 or 2.25 products a pixel in place of 9.
 
 Lavin and Gray, "Fast Algorithms for Convolutional Neural Networks" (CVPR 2016): a tile of
-m x m outputs is `A^T [(G g G^T) * (B^T d B)] A`; the products in the middle, over all tiles and
-channels, are (m + 2)^2 matrix products, which oneDNN does near the hardware's peak. F(4, 3) keeps
-float32 to about 1e-6, F(2, 3) loses little in bfloat16.
+m x m outputs of a kernel of r x r is `A^T [(G g G^T) * (B^T d B)] A`; the products in the middle,
+over all tiles and channels, are (m + r - 1)^2 matrix products, which oneDNN does near the
+hardware's peak. F(4, 3) keeps float32 to about 1e-6, F(2, 3) loses little in bfloat16; F(3, 2),
+for the 2x2 kernels before a doubling, has the tiles of F(2, 3) and 1.8 products in place of 4.
 
 The transforms are compiled for 16 channels at a time; they also do what lies beside the
 convolution: scale, shift and ReLU before it, bias, residual and ReLU behind it.
@@ -47,7 +48,9 @@ _G4 = (
     (1 / 24, -1 / 12, 1 / 6),
     (0, 0, 1),
 )
-_INPUT, _OUTPUT, _KERNEL = {2: _B2, 4: _B4}, {2: _A2, 4: _A4}, {2: _G2, 4: _G4}
+_A3 = ((1, 1, 1, 0), (0, 1, -1, 0), (0, 1, 1, -1))
+_G3 = ((1, 0), (1 / 2, 1 / 2), (1 / 2, -1 / 2), (0, 1))
+_INPUT, _OUTPUT, _KERNEL = {4: _B2, 6: _B4}, {2: _A2, 3: _A3, 4: _A4}, {2: _G2, 3: _G3, 4: _G4}
 
 _FLOATS = ir.VectorType(ir.FloatType(), LANES)
 _WORDS = ir.VectorType(ir.IntType(32), LANES)
@@ -130,9 +133,8 @@ def _larger(builder: Any, value: Any, floor: Any) -> Any:
     return builder.select(builder.fcmp_ordered(">", value, floor), value, floor)
 
 
-def _make_input(m: int, line: bool) -> Any:
+def _make_input(size: int, line: bool) -> Any:
     """Transform of 16 channels of an input tile."""
-    size = m + 2
 
     @intrinsic
     def transform(
@@ -165,7 +167,7 @@ def _make_input(m: int, line: bool) -> Any:
                     row.append(builder.fmul(value, _splat(builder, inside)))
                 square.append(row)
             at = builder.add(place, e)
-            for row in _both(builder, _INPUT[m], square):
+            for row in _both(builder, _INPUT[size], square):
                 for value in row:
                     target.store(at, value)
                     at = builder.add(at, step)
@@ -180,7 +182,7 @@ def _make_input(m: int, line: bool) -> Any:
 
 def _make_output(m: int, residual: bool) -> Any:
     """Transform back of 16 channels of an output tile."""
-    size = m + 2
+    size = len(_KERNEL[m])
 
     @intrinsic
     def transform(
@@ -222,9 +224,9 @@ def _make_output(m: int, residual: bool) -> Any:
     return transform
 
 
-_input2, _input4 = _make_input(2, line=False), _make_input(4, line=False)
-_line2, _line4 = _make_input(2, line=True), _make_input(4, line=True)
-_output2, _output4 = _make_output(2, residual=False), _make_output(4, residual=False)
+_input4, _input6 = _make_input(4, line=False), _make_input(6, line=False)
+_line4, _line6 = _make_input(4, line=True), _make_input(6, line=True)
+_output2, _output3, _output4 = (_make_output(m, residual=False) for m in (2, 3, 4))
 _residual2, _residual4 = _make_output(2, residual=True), _make_output(4, residual=True)
 
 
@@ -251,57 +253,71 @@ def _near6(first: int, length: int, step: int) -> tuple[Any, Any]:
 
 
 @compiled
-def transform2(
-    x: np.ndarray, scale: np.ndarray, shift: np.ndarray, first: int, count: int, out: np.ndarray
+def transform4(
+    x: np.ndarray,
+    scale: np.ndarray,
+    shift: np.ndarray,
+    m: int,
+    grid: tuple[int, int],
+    first: int,
+    count: int,
+    out: np.ndarray,
 ) -> None:
-    """`B^T d B` of tiles `first` to `first + count`, F(2, 3).
+    """`B^T d B` of tiles `first` to `first + count` of 4x4, for F(2, 3) and F(3, 2).
 
     Args:
-        x: (b, h, w, C), C a multiple of 16.
+        x: (b, h, w, C), C a multiple of 16; zeros lie around.
         scale: (C,) float32, of the line before the ReLU before the convolution; or of size 0.
         shift: (C,) float32.
+        m: pixels from one tile to the next; the first begins one pixel outside.
+        grid: tiles down and across a frame.
         first: number of a tile, counted along rows, then columns, then frames.
         count: number of tiles.
         out: (16, T, C), the first `count` of T written.
     """
     _, height, width, channels = x.shape
-    across, each = width // 2, (height // 2) * (width // 2)
     step = out.shape[1] * channels
     for t in range(count):
-        frame, rest = divmod(first + t, each)
-        row, column = divmod(rest, across)
+        frame, rest = divmod(first + t, grid[0] * grid[1])
+        row, column = divmod(rest, grid[1])
         base = frame * height * width * channels
-        rows, downs = _near4(2 * row - 1, height, width * channels)
-        columns, acrosses = _near4(2 * column - 1, width, channels)
+        rows, downs = _near4(m * row - 1, height, width * channels)
+        columns, acrosses = _near4(m * column - 1, width, channels)
         rows = (rows[0] + base, rows[1] + base, rows[2] + base, rows[3] + base)
-        for e in range(0, channels, 16):
-            if scale.size:
-                _line2(x, rows, columns, downs, acrosses, scale, shift, e, out, t * channels, step)
-            else:
-                _input2(x, rows, columns, downs, acrosses, scale, shift, e, out, t * channels, step)
-
-
-@compiled
-def transform4(
-    x: np.ndarray, scale: np.ndarray, shift: np.ndarray, first: int, count: int, out: np.ndarray
-) -> None:
-    """`B^T d B` as `transform2`, F(4, 3): `out` is (36, T, C)."""
-    _, height, width, channels = x.shape
-    across, each = width // 4, (height // 4) * (width // 4)
-    step = out.shape[1] * channels
-    for t in range(count):
-        frame, rest = divmod(first + t, each)
-        row, column = divmod(rest, across)
-        base = frame * height * width * channels
-        rows, downs = _near6(4 * row - 1, height, width * channels)
-        columns, acrosses = _near6(4 * column - 1, width, channels)
-        a, b, c, d, f, g = rows
-        rows = (a + base, b + base, c + base, d + base, f + base, g + base)
         for e in range(0, channels, 16):
             if scale.size:
                 _line4(x, rows, columns, downs, acrosses, scale, shift, e, out, t * channels, step)
             else:
                 _input4(x, rows, columns, downs, acrosses, scale, shift, e, out, t * channels, step)
+
+
+@compiled
+def transform6(
+    x: np.ndarray,
+    scale: np.ndarray,
+    shift: np.ndarray,
+    m: int,
+    grid: tuple[int, int],
+    first: int,
+    count: int,
+    out: np.ndarray,
+) -> None:
+    """`B^T d B` as `transform4`, of tiles of 6x6, for F(4, 3): `out` is (36, T, C)."""
+    _, height, width, channels = x.shape
+    step = out.shape[1] * channels
+    for t in range(count):
+        frame, rest = divmod(first + t, grid[0] * grid[1])
+        row, column = divmod(rest, grid[1])
+        base = frame * height * width * channels
+        rows, downs = _near6(m * row - 1, height, width * channels)
+        columns, acrosses = _near6(m * column - 1, width, channels)
+        a, b, c, d, f, g = rows
+        rows = (a + base, b + base, c + base, d + base, f + base, g + base)
+        for e in range(0, channels, 16):
+            if scale.size:
+                _line6(x, rows, columns, downs, acrosses, scale, shift, e, out, t * channels, step)
+            else:
+                _input6(x, rows, columns, downs, acrosses, scale, shift, e, out, t * channels, step)
 
 
 @compiled
@@ -322,10 +338,10 @@ def restore(
         bias: (O,) float32.
         floor: float32; 0 for a ReLU, minus infinity for none.
         residual: (b, h, w, O), added before the ReLU; or of size 0.
-        first: as in `transform2`.
-        count: as in `transform2`.
-        m: 2 or 4.
-        out: (b, h, w, O), the tiles' pixels are written.
+        first: as in `transform4`.
+        count: as in `transform4`.
+        m: 2, 3 (without a residual) or 4.
+        out: (b, h, w, O), h and w whole tiles; the tiles' pixels are written.
     """
     _, height, width, channels = out.shape
     across, each = width // m, (height // m) * (width // m)
@@ -344,6 +360,10 @@ def restore(
                 _output2(
                     products, place, step, bias, floor, residual, e, out, corner, row_step, channels
                 )
+            elif m == 3:
+                _output3(
+                    products, place, step, bias, floor, residual, e, out, corner, row_step, channels
+                )
             elif residual.size:
                 _residual4(
                     products, place, step, bias, floor, residual, e, out, corner, row_step, channels
@@ -358,22 +378,23 @@ def fits(kernel: Kernel, shape: tuple[int, int, int, int]) -> bool:
     """Whether a convolution of `shape` (B, C, H, W) is done faster this way than directly."""
     outputs, inputs, size = kernel.weight.shape[:3]
     _, _, height, width = shape
-    whole = inputs % LANES == 0 and outputs % LANES == 0 and height % 4 == 0 and width % 4 == 0
-    return size == 3 and whole and min(inputs, outputs) >= 64 and height * width >= 256
+    lanes = inputs % LANES == 0 and outputs % LANES == 0
+    large = min(inputs, outputs) >= 64 and height * width >= 256
+    return lanes and large and (size == 2 or (size == 3 and height % 4 == width % 4 == 0))
 
 
 def transformed_kernel(weight: Tensor, m: int) -> Tensor:
-    """`G g G^T` of (O, C, 3, 3) as matrices ((m + 2)^2, C, O), float32."""
+    """`G g G^T` of (O, C, r, r) as matrices ((m + r - 1)^2, C, O), float32."""
     g = torch.tensor(_KERNEL[m], dtype=torch.float64)
     parts = torch.einsum("ik,ockl,jl->ijco", g, weight.double(), g)
     return parts.flatten(0, 1).float().contiguous()
 
 
 class Winograd:
-    """A 3x3 convolution with a padding of 1, and what lies before and behind it.
+    """A 3x3 or 2x2 convolution with a padding of 1, and what lies before and behind it.
 
     Args:
-        kernel: (O, C, 3, 3), channels in multiples of 16.
+        kernel: (O, C, r, r), channels in multiples of 16.
         dtype: float32 or bfloat16, of input, output and matrix products.
         relu: whether negative results become 0.
         line: scale and shift (C,) of a line before a ReLU before the convolution.
@@ -387,7 +408,8 @@ class Winograd:
         relu: bool = True,
         line: tuple[Tensor, Tensor] | None = None,
     ) -> None:
-        self.m = 4 if dtype == torch.float32 else 2
+        self.size = kernel.weight.shape[-1]
+        self.m = 3 if self.size == 2 else 4 if dtype == torch.float32 else 2
         self.dtype = dtype
         self.matrices = transformed_kernel(kernel.weight, self.m).to(dtype)
         self.bias = kernel.bias.numpy()
@@ -397,23 +419,36 @@ class Winograd:
         self.scale, self.shift = scale.float().numpy(), shift.float().numpy()
 
     def __call__(self, x: Tensor, residual: Tensor | None = None) -> Tensor:
-        """(B, C, H, W) to (B, O, H, W), channels last; `residual` is added before the ReLU."""
+        """Convolve, channels last; `residual` is added before the ReLU.
+
+        Args:
+            x: (B, C, H, W); for 3x3 kernels H and W are multiples of 4.
+            residual: (B, O, H, W), for 3x3 kernels alone.
+
+        Returns:
+            (B, O, H, W); of a 2x2 kernel (B, O, H', W'), where H' >= H + 1 and W' >= W + 1 are
+            the next multiples of 3 and what lies beyond H + 1 and W + 1 means nothing.
+        """
         count, channels, height, width = x.shape
         many, _, outputs = self.matrices.shape
+        edge = 1 if self.size == 2 else 0
+        grid = (-(-(height + edge) // self.m), -(-(width + edge) // self.m))
         out = torch.empty(
-            (count, outputs, height, width), dtype=self.dtype, memory_format=torch.channels_last
+            (count, outputs, grid[0] * self.m, grid[1] * self.m),
+            dtype=self.dtype,
+            memory_format=torch.channels_last,
         )
-        tiles = count * (height // self.m) * (width // self.m)
+        tiles = count * grid[0] * grid[1]
         size = min(TILES[self.dtype], tiles)
         inputs = torch.empty((many, size, channels), dtype=self.dtype)
         products = torch.empty((many, size, outputs), dtype=self.dtype)
         source, target = _array(x, last=True), _array(out, last=True)
         kept = target[:0] if residual is None else _array(residual, last=True)
         before, after = _array(inputs), _array(products)
-        transform = transform4 if self.m == 4 else transform2
+        transform = transform6 if many == 36 else transform4
         for first in range(0, tiles, size):
             part = min(size, tiles - first)
-            transform(source, self.scale, self.shift, first, part, before)
+            transform(source, self.scale, self.shift, self.m, grid, first, part, before)
             torch.bmm(inputs, self.matrices, out=products)
             restore(after, self.bias, self.floor, kept, first, part, self.m, target)
         return out

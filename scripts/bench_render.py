@@ -28,6 +28,7 @@ from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
 
 import mraa.convolution
+import mraa.folded_flow
 import mraa.winograd
 from angie.bundle import Bundle
 from angie.demo import PHOTO
@@ -218,16 +219,14 @@ def blended(renderer: Renderer, photo: Tensor, parts: list[Parts]) -> Tensor:
 def sessions(renderer: Renderer, photo: Tensor, source: Regions) -> list[tuple[str, RenderSession]]:
     """The session with its rewrites one after the other."""
     ways = [("fp32", False, "warp and blend in one pass, a frame a core"),
-            ("fp32", True, "3x3 by minimal filtering")]  # fmt: skip
+            ("fp32", True, "kernels of 3 and 2 by minimal filtering")]  # fmt: skip
     if native_bf16(CPU):
         ways.append(("bf16", True, "bfloat16, masks and warps in float32"))
     made = []
     for precision, filtering, text in ways:
-        fits = mraa.convolution.fits
-        if not filtering:
-            mraa.convolution.fits = lambda kernel, shape: False
+        for module in (mraa.convolution, mraa.folded_flow):
+            module.fits = mraa.winograd.fits if filtering else lambda kernel, shape: False
         session = RenderSession(renderer, photo, source, precision=precision)
-        mraa.convolution.fits = fits
         made.append((f"{text} ({precision})", session))
     return made
 

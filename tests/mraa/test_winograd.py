@@ -60,5 +60,17 @@ def test_only_shapes_that_it_can_do():
     _, kernel = make(64, 64)
     assert fits(kernel, (1, 64, 64, 64))
     assert not fits(kernel, (1, 64, 62, 64))
+    assert fits(Kernel(torch.zeros(64, 64, 2, 2), torch.zeros(64)), (1, 64, 62, 64))
     assert not fits(make(60, 64)[1], (1, 60, 64, 64))
     assert not fits(Kernel(torch.zeros(64, 64, 5, 5), torch.zeros(64)), (1, 64, 64, 64))
+
+
+@pytest.mark.parametrize("dtype, most", [(torch.float32, 5e-6), (torch.bfloat16, 0.01)])
+def test_kernels_of_two(dtype, most):
+    x, _ = make(height=8, width=13)
+    random = torch.Generator().manual_seed(1)
+    kernel = Kernel(torch.randn(16, 32, 2, 2, generator=random) / 8, torch.randn(16))
+    wanted = F.conv2d(x.double(), kernel.weight.double(), kernel.bias.double(), padding=1).relu()
+    found = Winograd(kernel, dtype=dtype)(x.to(dtype))
+    assert wanted.shape[2:] == (9, 14) and found.shape[2:] == (9, 15)
+    assert error(found[..., :14].float(), wanted) < most
