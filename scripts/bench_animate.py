@@ -7,6 +7,7 @@ fills the caches; then frames are drawn alone, and drawn and encoded, in turn. P
 """
 
 import argparse
+import multiprocessing
 import os
 import subprocess
 import sys
@@ -40,6 +41,13 @@ ROUNDS = 3
 
 
 def speech(path: Path, seconds: float) -> None:
+    """Write a recording, in a process of its own: a child's peak counts that of its parent."""
+    make = multiprocessing.get_context("spawn").Process(target=speak, args=(path, seconds))
+    make.start()
+    make.join()
+
+
+def speak(path: Path, seconds: float) -> None:
     """Write a recording of exactly that many seconds."""
     talk = recording(0, seconds=seconds + 10, seed=1)
     samples = np.resize(talk.samples, round(seconds * talk.rate))
