@@ -87,6 +87,21 @@ def load_checkpoint(
         raise BadInput(
             f"{path}: a checkpoint of another architecture or damaged; train without --resume"
         ) from error
+    parameters = [p for group in optimizer.param_groups for p in group["params"]]
+    laid = {n: _laid_like(state, parameters[n]) for n, state in states.items()}
     groups = optimizer.state_dict()["param_groups"]
-    optimizer.load_state_dict({"state": states, "param_groups": groups})
+    optimizer.load_state_dict({"state": laid, "param_groups": groups})
     return step
+
+
+def _laid_like(state: dict[str, Tensor], parameter: Tensor) -> dict[str, Tensor]:
+    """An optimiser's state of a parameter, in the parameter's order in memory.
+
+    A fused optimiser goes through both side by side and does not look at their strides.
+    """
+    return {
+        name: torch.empty_like(parameter.detach(), dtype=value.dtype, device="cpu").copy_(value)
+        if value.shape == parameter.shape
+        else value
+        for name, value in state.items()
+    }

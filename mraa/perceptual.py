@@ -74,9 +74,7 @@ class PerceptualPyramid(nn.Module):
             if self.vgg is not None and scale in self.scales:
                 total = total + self._deep(small, wanted)
         if self.bands:
-            total = total + BANDS_WEIGHT * laplacian_distance(predictions, truths)
-            if min(truth.shape[2:]) >= SSIM_SIZE:
-                total = total + 1 - ssim(prediction, truth).mean()
+            total = total + bands_distance(predictions, truths)
         return self.weight * total
 
     def _deep(self, image: Tensor, truth: Tensor) -> Tensor:
@@ -86,3 +84,11 @@ class PerceptualPyramid(nn.Module):
             wanted = self.vgg(truth)
         terms = [(a - b).abs().float().mean() for a, b in zip(self.vgg(image), wanted, strict=True)]
         return torch.stack(terms).sum()
+
+
+def bands_distance(predictions: list[Tensor], truths: list[Tensor]) -> Tensor:
+    """Distance "lap" of two pyramids: L1 of the bands, and 1 - SSIM of the pictures themselves."""
+    total = BANDS_WEIGHT * laplacian_distance(predictions, truths)
+    if min(truths[0].shape[2:]) >= SSIM_SIZE:
+        total = total + 1 - ssim(predictions[0], truths[0]).mean()
+    return total

@@ -176,6 +176,11 @@ class Run:
         return load_checkpoint(self.checkpoint, model, optimizer, self._scaler)
 
     @property
+    def scaled(self) -> bool:
+        """Whether losses are scaled, as in 16-bit training alone."""
+        return self._scaler is not None
+
+    @property
     def _scaler(self) -> Scaler | None:
         """The loss scale; 16-bit training alone has one."""
         return getattr(self.fabric.strategy.precision, "scaler", None)

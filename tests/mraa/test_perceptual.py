@@ -3,7 +3,7 @@ import torch
 
 from data_prep.errors import BadInput
 from mraa.image_metrics import ssim
-from mraa.perceptual import PerceptualPyramid
+from mraa.perceptual import PerceptualPyramid, bands_distance
 from mraa.pyramid import ImagePyramid, laplacian_distance
 from mraa.renderer_training import RendererTraining
 from mraa.vgg import Vgg, load_vgg19, random_vgg
@@ -77,6 +77,14 @@ def test_bands_of_a_flat_difference_are_all_in_the_coarsest():
     """A constant 0.5 has no detail: every band but the last is zero but for the borders."""
     flat = [torch.full((1, 3, s, s), 0.5) for s in (32, 16, 8, 4)]
     assert float(laplacian_distance(flat, [0 * x for x in flat])) == pytest.approx(0.5)
+
+
+def test_small_pictures_are_compared_by_bands_alone():
+    """11 pixels are SSIM's window: 10 do without, and a flat difference is in the last band."""
+    flat = [torch.full((1, 3, s, s), 0.5) for s in (10, 5)]
+    assert float(bands_distance(flat, [0 * x for x in flat])) == pytest.approx(4 * 0.5)
+    flat = [torch.full((1, 3, s, s), 0.5) for s in (16, 8)]
+    assert float(bands_distance(flat, [0 * x for x in flat])) > 4 * 0.5 + 0.9
 
 
 def test_which_backend_settings_mean():

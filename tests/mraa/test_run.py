@@ -9,6 +9,7 @@ from torch import nn
 
 from data_prep.errors import BadInput
 from mraa.batches import StepSampler
+from mraa.checkpoint import load_checkpoint, save_checkpoint
 from mraa.run import Run, RunConfig
 
 
@@ -147,3 +148,27 @@ def test_what_a_process_loads_is_its_share_of_the_step(tmp_path):
         shares = [items(rank, 2, parts) for rank in (0, 1)]
         assert sorted(shares[0] + shares[1]) == sorted(whole)
         assert shares[0] == whole[::2]
+
+
+def test_a_fused_optimiser_goes_on_with_kernels_of_any_layout(tmp_path):
+    """Files hold tensors row by row; channels-last weights want their moments channels last."""
+
+    def made():
+        torch.manual_seed(0)
+        model = nn.Conv2d(3, 4, 3).to(memory_format=torch.channels_last)
+        return model, torch.optim.Adam(model.parameters(), lr=0.1, fused=True)
+
+    def step(model, optimizer, seed):
+        torch.manual_seed(seed)
+        model(torch.randn(1, 3, 5, 5)).square().sum().backward()
+        optimizer.step()
+        optimizer.zero_grad()
+
+    model, optimizer = made()
+    step(model, optimizer, 1)
+    save_checkpoint(tmp_path / "a.safetensors", model, optimizer, 1)
+    again, fresh = made()
+    load_checkpoint(tmp_path / "a.safetensors", again, fresh)
+    step(model, optimizer, 2)
+    step(again, fresh, 2)
+    assert torch.equal(model.weight, again.weight)

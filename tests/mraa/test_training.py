@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from lightning_fabric.plugins.precision import MixedPrecision
 from safetensors.torch import load_file, save_file
 
 from data_prep.errors import BadInput
@@ -11,8 +12,8 @@ from mraa.objective import Objective, images
 from mraa.pairs import Augmentation, FramePairs, augment
 from mraa.renderer import GeneratorConfig, HourglassConfig, Renderer, RendererConfig
 from mraa.renderer_training import RendererTraining
-from mraa.run import RunConfig
-from mraa.training import perceptual_loss, train_renderer
+from mraa.run import RunConfig, launch
+from mraa.training import adam, perceptual_loss, train_renderer
 
 SMALL = RendererConfig(
     regions=3,
@@ -72,6 +73,34 @@ def test_a_frozen_estimator_stays_and_the_rest_learns(dataset, tmp_path):
     learned = train_renderer(dataset, SMALL, training, tmp_path / "run").state_dict()
     changed = {k.split(".")[0] for k in given if not torch.equal(given[k], learned[k])}
     assert changed == {"background", "flow", "generator"}
+
+
+def test_one_pass_over_memory_takes_the_steps_of_the_plain_optimiser():
+    weights = []
+    for fused in (False, True):
+        torch.manual_seed(0)
+        estimator = Renderer(SMALL).estimator
+        optimizer = adam(estimator, RendererTraining(rate=1e-3), fused=fused)
+        for _ in range(3):
+            for parameter in estimator.parameters():
+                parameter.grad = torch.randn_like(parameter)
+            optimizer.step()
+        weights.append([p.detach() for p in estimator.parameters()])
+    torch.testing.assert_close(*weights, rtol=1e-5, atol=1e-7)
+
+
+def test_a_loss_scale_trains_too(dataset, tmp_path, monkeypatch):
+    """Gradients have to be clipped before the step, which the fused optimiser would unscale."""
+
+    def scaling(config, *, resting=False):
+        fabric = launch(config, resting=resting)
+        scaler = torch.amp.GradScaler("cpu", init_scale=1024.0)
+        fabric.strategy.precision = MixedPrecision("16-mixed", "cpu", scaler)
+        return fabric
+
+    monkeypatch.setattr("mraa.run.launch", scaling)
+    trained = few_steps(dataset, tmp_path, 2).state_dict()
+    assert all(bool(value.isfinite().all()) for value in trained.values())
 
 
 def test_losses_are_those_of_the_parts():
