@@ -43,6 +43,30 @@ def _broadcast(values: Tensor) -> Tensor:
     return values
 
 
+def _nearest(values: Tensor, entries: Tensor) -> Tensor:
+    """Places (...) of the entries (V, W) nearest to vectors (..., W)."""
+    return (entries.square().sum(-1) - 2 * (values @ entries.T)).argmin(-1)
+
+
+def cluster(values: Tensor, count: int, rounds: int = 10) -> Tensor:
+    """Centres (count, W) of vectors (n, W): k-means, begun with k-means++.
+
+    A centre that no vector is nearest to stays where it is. Random by torch's global generator.
+    """
+    centres = values[torch.randint(len(values), (1,), device=values.device)]
+    apart = torch.full((len(values),), float("inf"), device=values.device)
+    while len(centres) < count:
+        apart = torch.minimum(apart, (values - centres[-1]).square().sum(-1))
+        drawn = torch.multinomial(apart + 1e-12, 1)
+        centres = torch.cat([centres, values[drawn]])
+    for _ in range(rounds):
+        places = _nearest(values, centres)
+        found = torch.bincount(places, minlength=count)[:, None]
+        sums = torch.zeros_like(centres).index_add_(0, places, values)
+        centres = torch.where(found > 0, sums / found.clamp_min(1), centres)
+    return centres
+
+
 class Codebook(nn.Module):
     """V entries of W numbers (VQ-VAE with moving averages and restarts, as Jukebox and Bailando).
 
@@ -119,9 +143,7 @@ class Codebook(nn.Module):
     @torch.no_grad()
     def nearest(self, values: Tensor) -> Tensor:
         """Codes (B, S) int64 of the entries nearest to vectors (B, S, W)."""
-        entries = self.entries.float()
-        similarity = values.float() @ entries.T
-        return (entries.square().sum(-1) - 2 * similarity).argmin(-1)
+        return _nearest(values.float(), self.entries.float())
 
     def dequantize(self, codes: Tensor) -> Tensor:
         """Entries (B, S, W) float32 of codes (B, S)."""
@@ -136,6 +158,16 @@ class Codebook(nn.Module):
         """Number of entries that lately had at least a tenth of an even share of the use."""
         share = self.usage / self.usage.sum().clamp_min(1e-12)
         return (share * len(self.usage) >= 0.1).sum()
+
+    @torch.no_grad()
+    def begin(self, values: Tensor) -> None:
+        """Take the cluster centres of vectors (n, W) as entries, in place of a first batch's."""
+        centres = _broadcast(cluster(values.float(), len(self.entries)))
+        shares = torch.bincount(_nearest(values.float(), centres), minlength=len(centres)).float()
+        self.counts.copy_(shares * len(centres) / len(values))  # one vector a step for each
+        self.entries.copy_(centres)
+        self.sums.copy_(centres * self.counts[:, None])
+        self.initialised.fill_(True)
 
     @torch.no_grad()
     def _initialise(self, flat: Tensor) -> None:

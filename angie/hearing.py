@@ -37,20 +37,20 @@ class Hearing:
 def hearing(gpt: CoSpeechGPT, windows: MotionWindows, held_out: MotionWindows) -> Hearing | None:
     """Measure on held-out windows with `onset` and `codes`.
 
-    The mismatched sound of a window is that of the window half the held-out set away; where that
-    is of the same clip the window does not count, and without any left there is no result.
+    The mismatched sound of a window is that of the same speaker's window half of their windows
+    away, so that another voice does not give it away; where that is of the same clip the window
+    does not count, and without any left there is no result.
 
     Args:
         gpt: trained.
         windows: training windows with `codes`, for the order-2 model.
         held_out: of other clips.
     """
-    count = len(held_out)
-    other = [(place + count // 2) % count for place in range(count)]
-    apart = [i for i in range(count) if held_out.places[i][0] != held_out.places[other[i]][0]]
+    other = far_windows(held_out)
+    apart = [i for i, far in enumerate(other) if held_out.places[i][0] != held_out.places[far][0]]
     if not apart:
         return None
-    onset = held_out.stack("onset", 0, count)
+    onset = held_out.stack("onset", 0, len(held_out))
     counted = held_out.chosen(apart)
     codes = counted.rows["codes"].numpy()
     train = windows.rows["codes"].numpy()
@@ -65,6 +65,17 @@ def hearing(gpt: CoSpeechGPT, windows: MotionWindows, held_out: MotionWindows) -
         stream_entropies(gpt, counted, swapped).tolist(),
         order2,
     )
+
+
+def far_windows(windows: MotionWindows) -> list[int]:
+    """For each window the place of its speaker's window half of the speaker's windows away."""
+    speakers = [windows.clips[index].speaker for index, _ in windows.places]
+    far = [0] * len(windows)
+    for name in set(speakers):
+        own = [place for place, speaker in enumerate(speakers) if speaker == name]
+        for i, place in enumerate(own):
+            far[place] = own[(i + len(own) // 2) % len(own)]
+    return far
 
 
 def order2_entropy(train: NDArray, test: NDArray, size: int) -> float:

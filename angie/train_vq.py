@@ -13,6 +13,9 @@ from angie.vq import VQConfig, VQMotionExtractor
 from angie.windows import STRIDE, MotionWindows, check_stride
 from mraa.run import Run, RunConfig
 
+CLUSTERED = 1000
+"""Windows of which codebooks are begun after a warm-up, at most."""
+
 
 @dataclass(frozen=True)
 class VQTraining:
@@ -25,6 +28,10 @@ class VQTraining:
         stride: frames from one training window to the next.
         still_share: largest share of the windows in which nothing moves; 1 keeps all.
         checks: evenly spaced evaluations on the held-out windows, for the curves.
+        summed: weight of the mean absolute error of the deltas summed up from the window's
+            beginning, which holds patterns near the true path; not in the paper.
+        warmup: part of the steps before the codebooks come in; these then begin with the cluster
+            centres of the encoders' vectors, not with vectors of one batch. Not in the paper.
     """
 
     schedule: Schedule = field(default_factory=lambda: Schedule(rate=3e-5))
@@ -33,10 +40,16 @@ class VQTraining:
     stride: int = STRIDE
     still_share: float = 1.0
     checks: int = 50
+    summed: float = 0.0
+    warmup: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.checks < 1 or not 0 < self.still_share <= 1:
-            raise ValueError("checks must be positive, still_share a share above 0")
+        if self.checks < 1 or not 0 < self.still_share <= 1 or self.summed < 0:
+            raise ValueError(
+                "checks must be positive, still_share a share above 0, summed not negative"
+            )
+        if not 0 <= self.warmup < 1:
+            raise ValueError("warmup is a part of the steps, below 1")
         check_stride(self.stride)
 
 
@@ -78,15 +91,21 @@ def train_vq(
     model, optimizer = run.setup(vq, schedule.adam(vq))
     batches = run.batches(windows, schedule.batch)
     channels = Channels.of(windows.statistics, config.quant).to(run.device)
-    every = max(1, steps // training.checks)
+    every, warmup = max(1, steps // training.checks), int(training.warmup * steps)
     model.train()
     for step in run.steps():
         run.rate(optimizer, schedule.rate, schedule.milestone_steps(items))
         target = channels.normalise(next(batches)["poses"])
-        result = model(target)
+        if step == warmup > 0:
+            vq.begin(channels.normalise(some_poses(windows).to(run.device)))
+        result = model(target, step >= warmup)
         errors = stream_errors(result.deltas.float(), target, config)
         loss = torch.stack(list(errors.values())).sum()
         loss = loss + training.commitment * result.commitment + training.latent * result.latent
+        if training.summed and bool(channels.relative.any()):
+            off = (result.deltas.float() - target)[..., channels.relative]
+            errors["summed"] = off.cumsum(dim=1).abs().mean()
+            loss = loss + training.summed * errors["summed"]
         run.backward(loss)
         run.clip(model, optimizer, schedule.clip)
         optimizer.step()
@@ -102,6 +121,13 @@ def train_vq(
     vq.eval()
     vq.mean.copy_(mean_for_activity(patterns(vq, windows).split(64)))
     return vq.cpu()
+
+
+def some_poses(windows: MotionWindows) -> Tensor:
+    """Poses (n, 97, 5K) of at most `CLUSTERED` windows, evenly spread."""
+    count = min(len(windows), CLUSTERED)
+    chosen = windows.chosen(torch.linspace(0, len(windows) - 1, count).long().tolist())
+    return chosen.stack("poses", 0, count)
 
 
 def stream_errors(made: Tensor, target: Tensor, config: VQConfig) -> dict[str, Tensor]:

@@ -11,7 +11,7 @@ from lightning_fabric import Fabric
 from angie.bundle import OPTIONAL, STAGE_OF, TRAIN, UPSTREAM, Bundle
 from angie.clips import MotionClip, read_clips
 from angie.extraction import extract_dataset
-from angie.keypoints import INDEX, KeypointDataset
+from angie.keypoints import INDEX, KeypointClip, KeypointDataset
 from angie.motion import Motion, read_motion
 from angie.opening import open_or_create
 from angie.other_bundles import initial_weights, teacher_of
@@ -25,7 +25,7 @@ from angie.train_refiner import train_refiner
 from angie.train_vq import train_vq
 from angie.vq import VQMotionExtractor
 from angie.windows import WINDOW, MotionWindows
-from data_prep.dataset import Dataset
+from data_prep.dataset import Clip, Dataset
 from data_prep.errors import BadInput
 from data_prep.output import check_apart
 from data_prep.progress import console
@@ -56,6 +56,7 @@ class Trainer:
     run: RunConfig
     resume: bool
     fabric: Fabric
+    speaker: str | None = None
 
     @property
     def data_digest(self) -> str:
@@ -78,7 +79,7 @@ class Trainer:
     def publish(self, part: str, make: Callable[[], Any], **report: Any) -> None:
         """Put what `make` returns into the bundle as a part: once, whatever the processes."""
         if self.fabric.global_rank == 0:
-            clips = self.dataset.clips("train")
+            clips = [clip for clip in self.dataset.clips("train") if self.wanted(clip)]
             origin = {
                 "dataset": self.dataset.path.resolve().name,
                 "dataset_sha256": self.data_digest,
@@ -130,10 +131,11 @@ class Trainer:
             if isinstance(self.dataset, Dataset):
                 self.extract()
             path.parent.mkdir(parents=True, exist_ok=True)
-            measure(self.clips("train")).save(path)
+            measure([clip for clip in self.clips("train") if self.wanted(clip)]).save(path)
             return path
 
-        self.bundle.manifest["speakers"] = self.dataset.speakers()
+        speakers = self.dataset.speakers() if self.speaker is None else [self.speaker]
+        self.bundle.manifest["speakers"] = speakers
         self.publish("statistics", make)
 
     def extract(self) -> None:
@@ -248,6 +250,10 @@ class Trainer:
             return self.dataset.motion_clips(split)
         return read_clips(self.dataset, self.motion_folder, split, self.motion_identity)
 
+    def wanted(self, clip: Clip | KeypointClip | MotionClip) -> bool:
+        """Whether a clip of the dataset is of the bundle's speakers."""
+        return clip.speaker in self.bundle.manifest["speakers"]
+
     def motions(self, split: str) -> list[Motion]:
         """Motion alone of a split, for clips with and without sound."""
         return [
@@ -264,7 +270,7 @@ class Trainer:
             stride: frames from one training window to the next; the others are 32 apart.
         """
         statistics: MotionStatistics = self.bundle.statistics()
-        clips = self.clips("train")
+        clips = [clip for clip in self.clips("train") if self.wanted(clip)]
         long = [clip for clip in clips if clip.motion.frames >= WINDOW]
         if len(long) < HELD_OUT:
             return MotionWindows(clips, statistics, stride=stride), None
@@ -300,6 +306,7 @@ def train(
     resume: bool = False,
     force: bool = False,
     seed: int = 0,
+    speaker: str | None = None,
     run: RunConfig | None = None,
 ) -> Bundle:
     """Train the stages of a speaker bundle.
@@ -314,6 +321,8 @@ def train(
         resume: go on with an interrupted training; finished stages are kept.
         force: throw an existing bundle away first.
         seed: everything random follows from it.
+        speaker: whose motion alone is learnt; None learns that of all. The motion stage settles
+            it for those after it.
         run: device, precision and so on.
 
     Raises:
@@ -323,6 +332,8 @@ def train(
         raise BadInput(f"--stage {stage}: there are {', '.join(STAGES)} and all")
     check_apart(output, [dataset])
     data = open_data(dataset, output)
+    if speaker is not None and speaker not in data.speakers():
+        raise BadInput(f"--speaker {speaker}: {dataset} has {', '.join(data.speakers())}")
     if not data.clips("train"):
         raise BadInput(f"{dataset}: has no clips to train on; prepare more videos")
     if isinstance(data, KeypointDataset):
@@ -335,7 +346,13 @@ def train(
         open_or_create(Path(output), preset, changes or {}, stage, resume, force)
     fabric.barrier()
     keep_memory()
-    trainer = Trainer(data, Bundle.open(output), seed, run, resume, fabric)
+    bundle = Bundle.open(output)
+    measured = bundle.manifest["speakers"] if bundle.has("statistics") else [speaker]
+    if speaker is not None and stage != "motion" and measured != [speaker]:
+        raise BadInput(
+            f"--speaker {speaker}: {output} was measured on others; --stage motion first"
+        )
+    trainer = Trainer(data, bundle, seed, run, resume, fabric, speaker)
     if isinstance(data, KeypointDataset) != trainer.bundle.preset.points:
         raise BadInput(f"{output}: regions and joints do not mix; name another folder")
     for name in _stages(stage, trainer.bundle):

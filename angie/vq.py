@@ -145,6 +145,10 @@ class VQStream(nn.Module):
         quantized = self.codebook(self.encoder(deltas))
         return self.decoder(quantized.values), quantized
 
+    def unquantized(self, deltas: Tensor) -> Tensor:
+        """Deltas (B, T, C) to their reconstruction (B, 8S, C) without the codebook."""
+        return self.decoder(self.encoder(deltas))
+
     @torch.no_grad()
     def encode(self, deltas: Tensor) -> Tensor:
         """Codes (B, S) of deltas (B, T, C)."""
@@ -179,9 +183,18 @@ class VQMotionExtractor(nn.Module):
         """Shift and, if there is one, Cholesky stream."""
         return [self.shift, self.cholesky] if self.config.streams > 1 else [self.shift]
 
-    def forward(self, deltas: Tensor) -> Reconstruction:
-        """Encode, quantise and decode normalised deltas (B, T, 5K)."""
+    def forward(self, deltas: Tensor, quantise: bool = True) -> Reconstruction:
+        """Encode, quantise and decode normalised deltas (B, T, 5K).
+
+        Without `quantise` latent vectors go to the decoder as they are, and all else is zero.
+        """
         parts = deltas.split(self.config.channels, dim=-1)
+        if not quantise:
+            made = [s.unquantized(part) for s, part in zip(self.streams, parts, strict=True)]
+            tokens = deltas.shape[1] // FRAMES_PER_TOKEN
+            codes = torch.zeros(len(deltas), len(made), tokens, dtype=torch.int64)
+            none = deltas.new_zeros(())
+            return Reconstruction(torch.cat(made, dim=-1), codes.to(deltas.device), none, none)
         results = [stream(part) for stream, part in zip(self.streams, parts, strict=True)]
         quantized = [codes for _, codes in results]
         return Reconstruction(
@@ -190,6 +203,14 @@ class VQMotionExtractor(nn.Module):
             commitment=torch.stack([one.commitment for one in quantized]).sum(),
             latent=torch.stack([one.latent for one in quantized]).sum(),
         )
+
+    @torch.no_grad()
+    def begin(self, deltas: Tensor) -> None:
+        """Take the cluster centres of the latent vectors of deltas (n, T, 5K) as codebooks."""
+        parts = deltas.split(self.config.channels, dim=-1)
+        for stream, part in zip(self.streams, parts, strict=True):
+            latent = [stream.encoder(some) for some in part.split(64)]
+            stream.codebook.begin(torch.cat(latent).flatten(0, 1))
 
     def encode(self, deltas: Tensor) -> Tensor:
         """Codes (B, streams, T // 8) int64 of normalised deltas (B, T, 5K)."""

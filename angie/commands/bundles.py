@@ -24,6 +24,9 @@ def train(
     stage: Annotated[
         str, typer.Option(help="renderer, motion, vq, gpt, refiner, avd, or all but avd.")
     ] = "all",
+    speaker: Annotated[
+        str | None, typer.Option(help="Learn the motion of one speaker of the dataset alone.")
+    ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on after an interruption.")] = False,
     seed: Seed = 0,
     device: Device = "auto",
@@ -58,6 +61,7 @@ def train(
         resume=resume,
         force=force,
         seed=seed,
+        speaker=speaker,
         run=how,
     )
     if int(os.environ.get("LOCAL_RANK", "0")) == 0:  # one line, however many processes

@@ -89,6 +89,12 @@ def ablate(
     no_images: Annotated[
         bool, typer.Option("--no-images", help="Render nothing: motion scores alone.")
     ] = False,
+    image_stride: Annotated[
+        int, typer.Option(min=2, help="Every so many frames two are rendered for image scores.")
+    ] = 25,
+    fgd: Annotated[
+        Path | None, typer.Option(help="Auto-encoder of an earlier report, to compare with it.")
+    ] = None,
     fgd_steps: Annotated[
         int, typer.Option(min=1, help="Most training steps of FGD's auto-encoder.")
     ] = 3000,
@@ -98,6 +104,8 @@ def ablate(
     """Train and score the variants of the paper's Table 3; a killed run goes on when repeated."""
     if output is None:
         raise BadInput("--output: name the folder of the ablations, -o DIR")
+    if fgd is not None:
+        want_file(fgd, "auto-encoder of a report")
     from angie.ablation import VARIANTS
     from angie.ablation import ablate as run
     from angie.evaluation.networks import EvaluationConfig
@@ -107,7 +115,13 @@ def ablate(
     place = device_of(device)
     chosen = VARIANTS if variants is None else [name.strip() for name in variants.split(",")]
     scoring = EvaluationConfig(
-        seeds=seeds, seed=seed, images=not no_images, videos_shown=0, fgd_steps=fgd_steps
+        seeds=seeds,
+        seed=seed,
+        images=not no_images,
+        image_stride=image_stride,
+        videos_shown=0,
+        fgd=fgd,
+        fgd_steps=fgd_steps,
     )
     text = run(
         dataset,

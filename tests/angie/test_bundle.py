@@ -172,3 +172,19 @@ def test_a_setting_of_another_part_does_not_count():
 
     assert _sizes(Shared(4), "renderer") == {"width": 8}
     assert _sizes(Shared(4), "avd") == {"width": 4}
+
+
+def test_the_motion_of_one_speaker_alone(dataset, bundle, tmp_path):
+    folder = tmp_path / "bundle"
+    shutil.copytree(bundle.folder, folder)
+    with pytest.raises(BadInput, match="--speaker zoe: .* has adam, bella"):
+        train(dataset.path, folder, stage="motion", speaker="zoe")
+    with pytest.raises(BadInput, match="measured on others"):
+        train(dataset.path, folder, stage="vq", speaker="bella")
+    alone = train(dataset.path, folder, stage="motion", speaker="bella")
+    assert alone.statistics().speakers == ("bella",) and alone.manifest["speakers"] == ["bella"]
+    report = alone.manifest["parts"]["statistics"]["report"]
+    assert report["clips"] == len(dataset.clips("train", speaker="bella"))
+    changes = {"train_vq": {"schedule": {"most_steps": 2}}}
+    trained = train(dataset.path, folder, stage="vq", speaker="bella", changes=changes)
+    assert trained.manifest["parts"]["vq"]["report"]["clips"] == report["clips"]

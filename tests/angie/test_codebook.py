@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from angie.codebook import IDLE_STEPS, Codebook
+from angie.codebook import IDLE_STEPS, Codebook, cluster
 
 
 def learned(update: str = "ema", codes: int = 4, width: int = 2, **options) -> Codebook:
@@ -154,3 +154,32 @@ def test_float32_even_under_autocast():
 def test_an_unknown_update_is_refused():
     with pytest.raises(ValueError, match="ema, loss"):
         Codebook(4, 2, "adam")
+
+
+def test_cluster_centres_are_those_of_the_clusters():
+    torch.manual_seed(0)
+    truth = torch.tensor([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]])
+    values = truth.repeat(20, 1) + 0.1 * torch.randn(60, 2)
+    found = cluster(values, 3)
+    nearest = torch.cdist(found, truth).argmin(-1)
+    assert sorted(nearest.tolist()) == [0, 1, 2]
+    means = torch.stack([values[place::3].mean(0) for place in nearest.tolist()])
+    assert torch.allclose(found, means, atol=1e-5)
+
+
+def test_a_codebook_begun_with_clusters_uses_them():
+    torch.manual_seed(0)
+    codebook = Codebook(4, 2, restart_below=0.1)
+    values = torch.tensor([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0], [9.0, 9.0]])
+    codebook.begin(values)
+    assert bool(codebook.initialised) and torch.equal(codebook.counts, torch.ones(4))
+    assert sorted(codebook.entries.tolist()) == sorted(values.tolist())
+    codebook.train()(values[None])  # moving averages of the entries themselves stay there
+    assert sorted(codebook.entries.round(decimals=4).tolist()) == sorted(values.tolist())
+
+
+def test_fewer_vectors_than_entries_can_begin_a_codebook():
+    torch.manual_seed(0)
+    codebook = Codebook(8, 2)
+    codebook.begin(torch.tensor([[0.0, 0.0], [9.0, 0.0]]))
+    assert torch.isfinite(codebook.entries).all() and codebook.counts.sum() == 8

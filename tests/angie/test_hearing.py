@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from angie.gpt import CoSpeechGPT, GPTConfig
-from angie.hearing import hearing, order2_entropy
+from angie.hearing import far_windows, hearing, order2_entropy
 from angie.windows import MotionWindows
 
 
@@ -48,3 +48,13 @@ def test_without_another_clip_there_is_no_result(clips, statistics):
     windows = coded(MotionWindows(clips[:1], statistics), 0)
     gpt = CoSpeechGPT(GPTConfig(codes=8, width=16, heads=2, layers=1)).eval()
     assert hearing(gpt, windows, windows) is None
+
+
+def test_mismatched_sound_is_of_the_same_speaker(clips, statistics):
+    windows = MotionWindows(clips, statistics)
+    speaker = [windows.clips[index].speaker for index, _ in windows.places]
+    assert len(set(speaker)) > 1  # or the test says nothing
+    far = far_windows(windows)
+    assert [speaker[place] for place in far] == speaker
+    assert sorted(far) == list(range(len(windows)))
+    assert all(i != place for i, place in enumerate(far))

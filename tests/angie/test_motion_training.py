@@ -8,7 +8,7 @@ import torch
 from angie.direct import DirectMotion
 from angie.drift import remove_mean
 from angie.gpt import GPTConfig
-from angie.patterns import encode_windows
+from angie.patterns import encode_windows, reconstruction
 from angie.quantisation import Channels
 from angie.refiner import Refiner, RefinerConfig
 from angie.schedule import BestWeights, Schedule
@@ -30,7 +30,7 @@ from angie.train_refiner import (
     train_refiner,
 )
 from angie.train_vq import VQTraining, train_vq
-from angie.vq import VQConfig
+from angie.vq import VQConfig, VQMotionExtractor
 from angie.windows import MotionWindows
 from mraa.run import RunConfig
 
@@ -109,6 +109,29 @@ def test_the_best_weights_are_kept():
     again.load_state_dict(best.state_dict())
     again.restore()
     assert again.model.weight.item() == 2.0
+
+
+def test_summed_deltas_stay_nearer_to_the_path(vq, windows, tmp_path):
+    training = VQTraining(schedule(80, 3e-3), summed=0.3)
+    held = train_vq(tmp_path, windows, None, VQ, training, run_config=CPU)
+    plain, near = (reconstruction(one, windows)["correlation"] for one in (vq, held))
+    assert near > plain
+
+
+def test_after_a_warmup_the_codebooks_begin_with_clusters(vq, windows, tmp_path, monkeypatch):
+    begun = []
+    begin = VQMotionExtractor.begin
+    monkeypatch.setattr(
+        VQMotionExtractor,
+        "begin",
+        lambda self, deltas: (begun.append(len(deltas)), begin(self, deltas)),
+    )
+    training = VQTraining(schedule(80, 3e-3), warmup=0.5)
+    warm = train_vq(tmp_path, windows, None, VQ, training, run_config=CPU)
+    assert begun == [len(windows)]
+    errors = [reconstruction(one, windows)["error"] for one in (vq, warm)]
+    assert errors[1] < 1.1 * errors[0]
+    assert reconstruction(warm, windows)["shift_used"] > 5
 
 
 def test_vq_learns_to_reconstruct(vq, windows):

@@ -1,0 +1,251 @@
+"""What the motion side of bundles has learnt: codes, hearing, calm in silence, long sound.
+
+    python scripts/check_motion.py DATASET BUNDLE... -o OUT.json [--minutes 10]
+
+Everything is measured on the test clips of DATASET, which no stage of a bundle has seen, of the
+speakers that the bundle was trained on:
+
+codes     Perplexity of each stream, against that of as many clusters (k-means of the deltas of 8
+          frames, as many centres as codes, counted on the same test tokens): what a codebook can
+          use of this data without knowing more than a token. Correlation of the reconstructed
+          shifts with the true ones over windows of 96 frames, each from its true first frame.
+hearing   Cross-entropy in nats per code with the own sound, with that of another clip of the same
+          speaker, and of an order-2 model of the codes (`angie.hearing`).
+calm      10 s of a test clip's speech and 10 s of digital silence in one recording, from the
+          clip's first pose: mean speed of the active regions in the silence over that in the
+          speech, mean over speakers, clips and three seeds. `real` is the same quotient of the
+          recorded motion, pauses of a second or more (without their first half second) against
+          the rest.
+long      The test sound of one speaker, joined up to 10 minutes, in one run: the largest excess of
+          a channel of the shift over the training range (displacement from the speaker's rest) in
+          units of its width, growth of the process's peak memory against one minute, and the
+          seams. At the borders of the GPT's and the refiner's windows speed and its change must
+          be distributed as at the other borders of tokens: two-sample Kolmogorov-Smirnov tests,
+          p of each.
+"""
+
+import argparse
+import json
+import resource
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.cluster.vq import kmeans2, vq
+
+from angie.bundle import Bundle
+from angie.clips import MotionClip, read_clips
+from angie.evaluation.space import points
+from angie.generator import AngieGenerator
+from angie.hearing import hearing
+from angie.motion import Motion
+from angie.patterns import STREAMS, perplexity, reconstruction
+from angie.quantisation import Channels
+from angie.statistics import MotionStatistics
+from angie.train_gpt import code_windows
+from angie.windows import MotionWindows
+from data_prep.dataset import Dataset
+from data_prep.features import SpeechFeatures, speech_features
+from data_prep.rates import FPS, FRAMES_PER_TOKEN, SAMPLE_RATE, SAMPLES_PER_FRAME
+from data_prep.synchrony import steps
+
+SEEDS = (0, 1, 2)
+SPEECH = QUIET = 10
+"""Seconds of speech and of silence after it."""
+
+PAUSE, SETTLED = 1.0, 0.5
+"""Seconds without words that make a pause, and of its beginning that do not count."""
+
+WIDER = 0.1
+"""Part of the training range by which motion may leave it."""
+
+
+def pieces(windows: MotionWindows) -> NDArray:
+    """Normalised deltas (n * 12, 8, 5K) of the tokens of windows."""
+    channels = Channels.of(windows.statistics)
+    values = channels.normalise(windows.choose(["poses"]).stack("poses", 0, len(windows)))
+    return values.unflatten(1, (-1, FRAMES_PER_TOKEN)).flatten(0, 1).numpy()
+
+
+def supported(train: NDArray, test: NDArray, codes: int) -> float:
+    """Perplexity of the test tokens (m, 8, C) in `codes` clusters of the training ones."""
+    flat, seen = (values.reshape(len(values), -1).astype(np.float64) for values in (train, test))
+    centre = flat.mean(0)
+    axes = np.linalg.svd(flat[::4] - centre, full_matrices=False)[2][:32]
+    flat, seen = (flat - centre) @ axes.T, (seen - centre) @ axes.T
+    centres, _ = kmeans2(flat, codes, iter=20, minit="++", seed=0)
+    return perplexity(torch.from_numpy(vq(seen, centres)[0]))
+
+
+def codes_of(bundle: Bundle, train: MotionWindows, test: MotionWindows) -> dict[str, Any]:
+    """Reconstruction and use of the codes on test windows."""
+    scores: dict[str, Any] = reconstruction(bundle.vq(), test)
+    split, size = 2 * train.statistics.regions, bundle.preset.vq.codes
+    seen, held = pieces(train), pieces(test)
+    for name, part in zip(STREAMS, (slice(0, split), slice(split, None)), strict=True):
+        most = supported(seen[..., part], held[..., part], size)
+        scores[f"{name}_supported"] = most
+        scores[f"{name}_share"] = scores[f"{name}_perplexity"] / most
+    return scores
+
+
+def speed(motion: Motion, statistics: MotionStatistics) -> NDArray:
+    """Mean speed (T,) of the active regions, units of the picture a second; frame 1 has 0."""
+    return steps(points(motion)[:, statistics.active.numpy()]).mean(1) * FPS
+
+
+def calm(
+    generator: AngieGenerator, data: Dataset, clips: list[MotionClip], first: int = 3
+) -> dict[str, float]:
+    """Speed in silence over speed in speech, of what is generated and of what was recorded."""
+    known = {clip.id: clip for clip in data.clips("test")}
+    seen: dict[str, int] = {}
+    made, quiet, loud = [], [], []
+    for clip in clips:
+        still = pauses(data, known[clip.name])
+        moved = speed(clip.motion, generator.statistics)
+        quiet.append(moved[1:][still[1:]])
+        loud.append(moved[1:][~still[1:]])
+        seen[clip.speaker] = seen.get(clip.speaker, 0) + 1
+        if seen[clip.speaker] > first:
+            continue
+        sound = data.sound(known[clip.name])[: SPEECH * SAMPLE_RATE]
+        border = len(sound) // SAMPLES_PER_FRAME
+        speech = speech_features(np.concatenate([sound, np.zeros(QUIET * SAMPLE_RATE, np.float32)]))
+        for seed in SEEDS:
+            motion = generator.generate(
+                speech, clip.motion[:1], border + QUIET * FPS, seed, clip.speaker
+            )
+            value = speed(motion, generator.statistics)
+            made.append((value[border:].mean(), value[1:border].mean(), value[-50:].mean()))
+    table = np.array(made)
+    pause = np.concatenate(quiet)
+    return {
+        "ratio": float(table[:, 0].mean() / table[:, 1].mean()),
+        "worst": float((table[:, 0] / table[:, 1]).max()),
+        "last two seconds": float(table[:, 2].mean() / table[:, 1].mean()),
+        "real": float(pause.mean() / np.concatenate(loud).mean()) if len(pause) else float("nan"),
+        "recordings": len(made),
+    }
+
+
+def pauses(data: Dataset, clip: Any) -> NDArray:
+    """Frames (T,) bool inside a pause of the words."""
+    still = np.zeros(clip.n_frames, bool)
+    now = 0.0
+    for word in [*(data.words(clip) or []), None]:
+        until = clip.n_frames / FPS if word is None else word.start
+        if until - now >= PAUSE:
+            still[round((now + SETTLED) * FPS) : round(until * FPS)] = True
+        now = now if word is None else word.end
+    return still
+
+
+def long_sound(data: Dataset, clips: list[MotionClip], minutes: float) -> SpeechFeatures:
+    """Features of the sound of clips, joined and repeated to a length."""
+    known = {clip.id: clip for clip in data.clips("test")}
+    sound = np.concatenate([data.sound(known[clip.name]) for clip in clips])
+    wanted = int(minutes * 60 * SAMPLE_RATE) // SAMPLES_PER_FRAME * SAMPLES_PER_FRAME
+    return speech_features(np.resize(sound, wanted))
+
+
+def borders(generator: AngieGenerator, frames: int) -> dict[str, NDArray]:
+    """First frames of the windows in which long sound is generated, by what has windows."""
+    assert generator.gpt is not None
+    block = generator.gpt.config.block
+    hop = block - generator.config.window.kept(block)
+    last = frames // FRAMES_PER_TOKEN
+    steps_of = np.arange(block + 1, last, hop) if hop else np.zeros(0, int)
+    return {"gpt": steps_of * FRAMES_PER_TOKEN, "refiner": np.arange(48, frames - 48, 48)}
+
+
+def long(
+    generator: AngieGenerator, data: Dataset, train: list[MotionClip], test: list[MotionClip],
+    minutes: float,
+) -> dict[str, Any]:  # fmt: skip
+    """Range, memory and seams of one long run."""
+    statistics, speaker = generator.statistics, test[0].speaker
+    own = [clip for clip in test if clip.speaker == speaker]
+    peak = []
+    for length in (1.0, minutes):
+        speech = long_sound(data, own, length)
+        frames = round(length * 60 * FPS)
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        motion = generator.generate(speech, own[0].motion[:1], frames, 0, speaker)
+        peak.append((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
+    split = 2 * statistics.regions
+    displaced = [c.motion.vector() - statistics.rest_of(c.speaker) for c in train]
+    low = torch.stack([d.amin(0) for d in displaced]).amin(0)
+    high = torch.stack([d.amax(0) for d in displaced]).amax(0)
+    made = motion.vector() - statistics.rest_of(speaker)
+    over = torch.maximum(made - high, low - made).amax(0) / (high - low)
+    moved = speed(motion, statistics)
+    change = np.abs(np.diff(moved, prepend=moved[0]))
+    result: dict[str, Any] = {
+        "frames": motion.frames,
+        "excess_shift": float(over[:split].max()),
+        "excess_cholesky": float(over[split:].max()),
+        "within": bool(over[:split].max() <= WIDER),
+        "memory_mb": peak,
+        "first and last minute's speed": [float(moved[:1500].mean()), float(moved[-1500:].mean())],
+    }
+    tokens = np.arange(2 * FRAMES_PER_TOKEN, motion.frames, FRAMES_PER_TOKEN)
+    for name, frames_of in borders(generator, motion.frames).items():
+        if len(frames_of):
+            others = np.setdiff1d(tokens, frames_of)
+            for kind, values in (("speed", moved), ("change", change)):
+                test_of = stats.ks_2samp(values[frames_of], values[others])
+                result[f"{name}_{kind}_p"] = float(test_of.pvalue)
+    return result
+
+
+def check(data: Dataset, folder: Path, minutes: float) -> dict[str, Any]:
+    """Everything about one bundle."""
+    bundle = Bundle.open(folder)
+    statistics, generator = bundle.statistics(), bundle.generator()
+    identity = f"{bundle.hash_of('renderer')}-{data.digest}"
+    train, test = (
+        [c for c in read_clips(data, bundle.train / "motion", split, identity)
+         if c.speaker in statistics.speakers]
+        for split in ("train", "test")
+    )  # fmt: skip
+    windows, held_out = (MotionWindows(clips, statistics) for clips in (train, test))
+    assert generator.gpt is not None
+    extractor: Any = generator.vq
+    heard = hearing(
+        generator.gpt, code_windows(extractor, windows), code_windows(extractor, held_out)
+    )
+    result = {
+        "speakers": statistics.speakers,
+        "training_minutes": sum(c.motion.frames for c in train) / FPS / 60,
+        "test_minutes": sum(c.motion.frames for c in test) / FPS / 60,
+        "codes": codes_of(bundle, windows, held_out),
+        "hearing": heard.as_dict() if heard is not None else None,
+        "calm": calm(generator, data, test),
+    }
+    if minutes:
+        result["long"] = long(generator, data, train, test, minutes)
+    return result
+
+
+def main() -> None:
+    """Check bundles one after the other; the file grows with each."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("dataset", type=Path)
+    parser.add_argument("bundles", type=Path, nargs="+")
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--minutes", type=float, default=10.0, help="of long sound; 0 for none")
+    given = parser.parse_args()
+    data = Dataset(given.dataset)
+    found: dict[str, Any] = {}
+    for folder in given.bundles:
+        found[folder.name] = check(data, folder, given.minutes)
+        print(folder.name, json.dumps(found[folder.name], indent=1), flush=True)
+        given.output.write_text(json.dumps(found, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
