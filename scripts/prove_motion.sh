@@ -3,42 +3,70 @@
 # beats against baselines, the paper's ablations, calm in silence, long sound.
 #   bash scripts/prove_motion.sh WORK RENDERER     hours on one core; run again, it goes on
 # RENDERER is a bundle with a trained renderer (lite, 20 regions); its regions are used as they are.
-# WORK/raw and WORK/set are made unless they are there (links will do). Needs angie installed, or
-# the repository in PYTHONPATH and ANGIE="python -m angie".
+# WORK/raw and WORK/set are made unless they are there (links will do). ANGIE and PYTHON name the
+# commands where the package is not installed, such as ANGIE="python -m angie".
+#   SEEDS="0 1 2"     training seeds of the joint model
+#   SPEAKERS="adam bella carl dora"     models of one speaker
+#   VARIANTS=full,...  rows of the ablations
 set -euo pipefail
 work="${1:?folder to work in}" renderer="${2:?bundle with a trained renderer}"
 here="$(cd "$(dirname "$0")" && pwd)"
-angie() { ${ANGIE:-command angie} "$@"; }
-python="${PYTHON:-python}" set="$work/set"
-# what differs from the settings that RENDERER was made with
-settings=(vq.restart_below=0.1)
-joint=(gpt.joint=true)
-own=(train_vq.schedule.most_steps=1500 train_gpt.schedule.most_steps=800
-     train_refiner.schedule.most_steps=600)
+read -ra angie <<<"${ANGIE:-angie}"
+read -ra python <<<"${PYTHON:-python}"
+set="$work/set"
+settings=(
+  vq.restart_below=0.1 train_vq.summed=1.0 train_vq.warmup=0.4 "train_vq.schedule.milestones=[400]"
+  train_vq.checks=5 train_gpt.checks=15 train_gpt.patience=5 train_refiner.checks=8
+)
+joint=(
+  gpt.joint=true train_vq.schedule.most_steps=1500 train_gpt.schedule.most_steps=900
+  train_refiner.schedule.most_steps=500
+)
+fewer=(
+  train_vq.schedule.most_steps=500 train_gpt.schedule.most_steps=400
+  train_refiner.schedule.most_steps=250
+)
 
 mkdir -p "$work"
-[ -d "$work/raw" ] || angie phantom -o "$work/raw" --minutes 70 --seed 0
-[ -d "$set" ] || angie prepare "$work/raw" -o "$set"
+[ -d "$work/raw" ] || "${angie[@]}" phantom -o "$work/raw" --minutes 70 --seed 0
+[ -d "$set" ] || "${angie[@]}" prepare "$work/raw" -o "$set"
 
-measured() {  # BUNDLE FROM ARGUMENTS...: a bundle with FROM's renderer and the motion of the set
-  [ ! -f "$work/$1/statistics.safetensors" ] || return 0
-  rm -rf "${work:?}/$1"
-  cp -r "$2" "$work/$1"
-  angie train "$set" -o "$work/$1" --stage motion "${@:3}"
+copied() { # BUNDLE: the renderer and the motion of the set, nothing learnt
+  [ -f "$work/$1/bundle.json" ] || cp -r "$work/base" "$work/$1"
 }
-learnt() {  # BUNDLE SEED: its motion stages
+learnt() { # BUNDLE SEED SETTINGS...: its motion stages
   for stage in vq gpt refiner; do
     [ -f "$work/$1/$stage.safetensors" ] ||
-      angie train "$set" -o "$work/$1" --stage "$stage" --seed "$2" --resume
+      "${angie[@]}" train "$set" -o "$work/$1" --stage "$stage" --seed "$2" --resume "${@:3}"
   done
 }
 
-measured base "$renderer" "${settings[@]}"
-for seed in 0 1 2; do
-  measured "joint-$seed" "$work/base" "${joint[@]}"
-  learnt "joint-$seed" "$seed"
+[ -d "$work/base" ] || cp -r "$renderer" "$work/base"
+[ -f "$work/base/statistics.safetensors" ] ||
+  "${angie[@]}" train "$set" -o "$work/base" --stage motion
+bundles=()
+for seed in ${SEEDS-0 1 2}; do
+  copied "joint-$seed"
+  learnt "joint-$seed" "$seed" "${settings[@]}" "${joint[@]}"
+  bundles+=("$work/joint-$seed")
 done
-for name in adam bella carl dora; do
-  measured "$name" "$work/base" --speaker "$name" "${own[@]}"
-  learnt "$name" 0
+[ -f "$work/check.json" ] ||
+  "${python[@]}" "$here/check_motion.py" "$set" "${bundles[@]}" -o "$work/check.json"
+[ -f "$work/report/results.json" ] ||
+  "${angie[@]}" evaluate "$set" "${bundles[@]}" -o "$work/report" --seeds 3 --no-images
+[ -f "$work/ablations/table3.md" ] ||
+  "${angie[@]}" ablate "$set" "$work/base" -o "$work/ablations" --fgd "$work/report/fgd-0.safetensors" \
+    --seeds 3 --image-stride 100 ${VARIANTS:+--variants "$VARIANTS"} "${settings[@]}" gpt.joint=true "${fewer[@]}"
+own=()
+for name in ${SPEAKERS-adam bella carl dora}; do
+  copied "$name"
+  [ -f "$work/$name/vq.safetensors" ] ||
+    "${angie[@]}" train "$set" -o "$work/$name" --stage motion --speaker "$name"
+  learnt "$name" 0 "${settings[@]}" "${fewer[@]}"
+  own+=("$work/$name")
 done
+if [ "${#own[@]}" -gt 0 ] && [ ! -f "$work/check-own.json" ]; then
+  "${python[@]}" "$here/check_motion.py" "$set" "${own[@]}" -o "$work/check-own.json" --minutes 0
+  "${angie[@]}" evaluate "$set" "${own[@]}" -o "$work/report-own" --seeds 3 --no-images \
+    --fgd "$work/report/fgd-0.safetensors" --force
+fi
