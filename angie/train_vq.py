@@ -29,7 +29,8 @@ class VQTraining:
         still_share: largest share of the windows in which nothing moves; 1 keeps all.
         checks: evenly spaced evaluations on the held-out windows, for the curves.
         summed: weight of the mean absolute error of the deltas summed up from the window's
-            beginning, which holds patterns near the true path; not in the paper.
+            beginning, which holds patterns near the true path; not in the paper. Channels count
+            as they move in the picture: by their scale over the mean scale of their stream.
         warmup: part of the steps before the codebooks come in; these then begin with the cluster
             centres of the encoders' vectors, not with vectors of one batch. Not in the paper.
     """
@@ -91,6 +92,7 @@ def train_vq(
     model, optimizer = run.setup(vq, schedule.adam(vq))
     batches = run.batches(windows, schedule.batch)
     channels = Channels.of(windows.statistics, config.quant).to(run.device)
+    weights = torch.cat([part / part.mean() for part in channels.scale.split(config.channels)])
     every, warmup = max(1, steps // training.checks), int(training.warmup * steps)
     model.train()
     for step in run.steps():
@@ -103,8 +105,8 @@ def train_vq(
         loss = torch.stack(list(errors.values())).sum()
         loss = loss + training.commitment * result.commitment + training.latent * result.latent
         if training.summed and bool(channels.relative.any()):
-            off = (result.deltas.float() - target)[..., channels.relative]
-            errors["summed"] = off.cumsum(dim=1).abs().mean()
+            off = (result.deltas.float() - target) * weights
+            errors["summed"] = off[..., channels.relative].cumsum(dim=1).abs().mean()
             loss = loss + training.summed * errors["summed"]
         run.backward(loss)
         run.clip(model, optimizer, schedule.clip)
