@@ -86,7 +86,7 @@ def _lite() -> Preset:
             generator=GeneratorConfig("lite", width=128, bottleneck_blocks=6),
             affine_mode="sym",
         ),
-        vq=VQConfig(width=64, code_width=64),
+        vq=VQConfig(width=64, code_width=64, restart_below=0.1),
         gpt=GPTConfig(width=128, heads=4, layers=4),
         refiner=RefinerConfig(sound=96, motion=64, hidden=64),
         generation=GenerationConfig(
@@ -105,8 +105,14 @@ def _lite() -> Preset:
             augmentation=Augmentation(zoom=0.15),
             warmup_steps=3000,
         ),
-        train_vq=VQTraining(schedule=Schedule(rate=1e-3, most_steps=2500)),
-        train_gpt=GPTTraining(schedule=Schedule(rate=3e-4, milestones=(250, 400), most_steps=1500)),
+        train_vq=VQTraining(
+            schedule=Schedule(rate=1e-3, milestones=(400,), most_steps=2500),
+            summed=1.0,
+            warmup=0.4,
+        ),
+        train_gpt=GPTTraining(
+            schedule=Schedule(rate=1e-3, milestones=(400,), most_steps=1500), stride=8, checks=30
+        ),
         train_refiner=RefinerTraining(
             schedule=Schedule(rate=5e-4, betas=(0.9, 0.999), epochs=100, most_steps=1500)
         ),

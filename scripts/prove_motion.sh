@@ -21,12 +21,12 @@ settings=(
   generation.window.move=hop generation.decode=auto
 )
 joint=(
-  gpt.joint=true train_vq.schedule.most_steps=1500 train_gpt.schedule.most_steps=900
-  train_refiner.schedule.most_steps=500
+  gpt.joint=true train_vq.schedule.most_steps=1200 train_gpt.schedule.most_steps=1000
+  train_refiner.schedule.most_steps=300
 )
 fewer=(
-  train_vq.schedule.most_steps=500 train_gpt.schedule.most_steps=400
-  train_refiner.schedule.most_steps=250
+  train_vq.schedule.most_steps=300 train_gpt.schedule.most_steps=300
+  train_refiner.schedule.most_steps=80
 )
 
 mkdir -p "$work"
@@ -55,10 +55,11 @@ done
 [ -f "$work/check.json" ] ||
   "${python[@]}" "$here/check_motion.py" "$set" "${bundles[@]}" -o "$work/check.json"
 [ -f "$work/report/results.json" ] ||
-  "${angie[@]}" evaluate "$set" "${bundles[@]}" -o "$work/report" --seeds 3 --no-images
+  "${angie[@]}" evaluate "$set" "${bundles[@]}" -o "$work/report" --seeds 3 --no-images \
+    --fgd-steps 1000
 [ -f "$work/ablations/table3.md" ] ||
   "${angie[@]}" ablate "$set" "$work/base" -o "$work/ablations" --fgd "$work/report/fgd-0.safetensors" \
-    --seeds 3 --image-stride 100 ${VARIANTS:+--variants "$VARIANTS"} "${settings[@]}" gpt.joint=true "${fewer[@]}"
+    --seeds 3 --image-stride 150 ${VARIANTS:+--variants "$VARIANTS"} "${settings[@]}" gpt.joint=true "${fewer[@]}"
 own=()
 for name in ${SPEAKERS-adam bella carl dora}; do
   copied "$name"

@@ -17,6 +17,7 @@ def test_paper_numbers():
     assert paper.generation.bounding == "off" and paper.generation.sampling.method == "greedy"
     assert not paper.generation.sampling.repeat_guard
     assert paper.train_vq.schedule.rate == 3e-5 and paper.train_vq.commitment == 0.1
+    assert paper.vq.restart_below == 1 and paper.train_vq.summed == paper.train_vq.warmup == 0
     assert paper.train_renderer.rate == 2e-4 and paper.train_renderer.augmentation.zoom == 0
 
 
