@@ -13,7 +13,7 @@ hearing   Cross-entropy in nats per code with the own sound, with that of anothe
           speaker, and of an order-2 model of the codes (`angie.hearing`).
 calm      10 s of a test clip's speech and 10 s of digital silence in one recording, from the
           clip's first pose: mean speed of the active regions in the silence over that in the
-          speech, mean over speakers, clips and three seeds. `real` is the same quotient of the
+          speech, mean over speakers, clips and three seeds. `real` is the same ratio of the
           recorded motion, pauses of a second or more (without their first half second) against
           the rest.
 long      The test sound of one speaker, joined up to 10 minutes, in one run: the largest excess of
@@ -26,7 +26,6 @@ long      The test sound of one speaker, joined up to 10 minutes, in one run: th
 
 import argparse
 import json
-import resource
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -167,7 +166,7 @@ def borders(generator: AngieGenerator, frames: int) -> dict[str, NDArray]:
 def generate_long(
     dataset: Path, bundle: Path, names: list[str], minutes: float, output: Path
 ) -> float:
-    """Write the motion (T, 5K) for long sound of some test clips; peak memory in MB."""
+    """Write the motion (T, 5K) for long sound of some test clips; peak memory in MB (Linux)."""
     torch.set_num_threads(1)
     data, opened = Dataset(dataset), Bundle.open(bundle)
     motions = opened.train / "motion"
@@ -176,7 +175,9 @@ def generate_long(
     frames = round(minutes * 60 * FPS)
     motion = opened.generator().generate(speech, clips[0].motion[:1], frames, 0, clips[0].speaker)
     np.save(output, motion.vector().numpy())
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    # a child's ru_maxrss begins with its parent's; this does not
+    status = Path("/proc/self/status").read_text()
+    return int(status.split("VmHWM:")[1].split()[0]) / 1024
 
 
 def long(
