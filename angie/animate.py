@@ -87,7 +87,8 @@ def animate(
         scale_motion: "hull" scales the gestures by the size of the person (spanned by the
             regions) against the training speakers', "none" does not.
         greedy: always the likeliest gesture; every seed then gives the same video.
-        precision: of the renderer's convolutions, as `mraa.session.RenderSession`.
+        precision: of the renderer's convolutions, as `mraa.session.RenderSession`, and of the
+            GPT, as `Bundle.generator`.
         size: "256", "512", "1024" or "photo": pixels of the video's side; above 256 the
             photo's own pixels are moved.
         full_frame: the video shows the whole photo, in its own pixels.
@@ -112,7 +113,7 @@ def animate(
             track_axes=track_axes,
         )
         samples = read_sound(sound_path)
-        generator = bundle.generator()
+        generator = bundle.generator(precision)
         method = "greedy" if greedy else "topk"
         sampling = replace(generator.config.sampling, method=method)
         generator.config = replace(generator.config, sampling=sampling)

@@ -31,7 +31,7 @@ from angie import __version__
 from angie.direct import DirectMotion
 from angie.generator import AngieGenerator
 from angie.gpt import CoSpeechGPT
-from angie.packing import pack
+from angie.packing import pack, product_type
 from angie.presets import Preset, override
 from angie.refiner import Refiner
 from angie.statistics import MotionStatistics
@@ -277,8 +277,13 @@ class Bundle:
         """The disentanglement network in eval mode."""
         return self._load("avd", make_avd(self.preset.renderer))
 
-    def generator(self) -> AngieGenerator:
+    def generator(self, precision: str = "fp32") -> AngieGenerator:
         """The gesture generator on the CPU, all its parts in eval mode.
+
+        Args:
+            precision: of the GPT's large products: "bf16", or "auto" where the processor has it
+                natively; else float32. Rounding parts two sequences of codes where two codes are
+                about equally likely; either is as good.
 
         Raises:
             BadInput: parts are missing or unusable.
@@ -294,7 +299,7 @@ class Bundle:
             )
         gpt = self.gpt() if "gpt" in self.parts else None
         if gpt is not None:
-            pack(gpt)
+            pack(gpt, product_type(precision))
         vq, refiner, statistics = self.vq(), self.refiner(), self.statistics()
         errors = self.manifest["parts"]["vq"]["report"].get("decoding", {})
         chunked = errors.get("chunked", 1.0) < errors.get("full", 0.0)

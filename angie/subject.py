@@ -21,8 +21,8 @@ from data_prep.speaker import (
 )
 from mraa.affine import WITH_AXES
 from mraa.fullsize import FullSize
+from mraa.precision import choose_precision
 from mraa.renderer import Renderer, from_pixels
-from mraa.session import choose_precision
 
 
 def photo_crop(path: Path, photo: np.ndarray, person: str | None = None) -> Crop:

@@ -22,6 +22,7 @@ from data_prep.progress import console, progress
 from mraa.batches import SEED_STRIDE, SeededItems, StepSampler
 from mraa.checkpoint import Scaler, checkpoint_identity, load_checkpoint, save_checkpoint
 from mraa.curves import Curves
+from mraa.precision import native_bf16
 from mraa.sync_norm import synchronise
 
 if TYPE_CHECKING:
@@ -51,11 +52,8 @@ class RunConfig:
 
 def native_precision(device: str = "auto") -> str:
     """Name "bf16-mixed" where the device computes in bfloat16 natively, else "32-true"."""
-    if device != "cpu" and torch.cuda.is_available():
-        return "bf16-mixed" if torch.cuda.is_bf16_supported() else "32-true"
-    names = ("_is_avx512_bf16_supported", "_is_amx_tile_supported")  # torch 2.6 and newer
-    native = any(getattr(torch.cpu, name, bool)() for name in names)
-    return "bf16-mixed" if native else "32-true"
+    cuda = device != "cpu" and torch.cuda.is_available()
+    return "bf16-mixed" if native_bf16(torch.device("cuda" if cuda else "cpu")) else "32-true"
 
 
 def launch(config: RunConfig, *, resting: bool = False) -> "Fabric":

@@ -25,7 +25,7 @@ from angie.demo import BUNDLE
 from angie.generator import AngieGenerator
 from angie.gpt import CoSpeechGPT
 from angie.motion import Motion
-from angie.packing import pack
+from angie.packing import pack, product_type
 from angie.presets import preset
 from angie.refiner import Refiner
 from angie.sampling import Sampling, draw
@@ -86,14 +86,14 @@ def generator_of(name: str) -> AngieGenerator:
     return AngieGenerator(vq, gpt, refiner, statistics, sizes.generation)
 
 
-def rates(generator: AngieGenerator) -> None:
+def rates(generator: AngieGenerator, precision: str) -> None:
     """Print codes a second, uncached and with either window."""
     gpt, sampling = generator.gpt, generator.config.sampling
     onset, start = torch.randn(CODES + 1, gpt.config.onset), torch.tensor([[3], [7]])
     uncached(gpt, onset[:4], sampling)
     base = CODES / seconds(lambda: uncached(gpt, onset, sampling))
     print(f"  uncached, nn.Linear    {base:7.1f} codes/s")
-    pack(gpt)
+    pack(gpt, product_type(precision))
     for name, window in (("slide", Window("slide")), ("hop", Window("hop"))):
 
         def make(window: Window = window, length: int = CODES + 1) -> None:
@@ -134,13 +134,13 @@ def shares(generator: AngieGenerator, length: int, window: str) -> None:
 
 
 def main() -> None:
-    """Print both tables for lite and paper."""
+    """Print the figures of lite and paper; a narrow GPT has no large products."""
     lengths = [int(text) for text in sys.argv[1:]] or [60, 600]
     print(f"{torch.get_num_threads()} threads, torch {torch.__version__}")
-    for name in ("lite", "paper"):
-        print(name)
+    for name, precision in (("lite", "auto"), ("paper", "fp32"), ("paper", "auto")):
         generator = generator_of(name)
-        rates(generator)
+        print(f"{name}, large products in {str(product_type(precision))[6:]}")
+        rates(generator, precision)
         for length in lengths:
             for window in ("hop", "slide"):
                 if name == "lite" or length <= 60:

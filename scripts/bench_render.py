@@ -41,9 +41,10 @@ from mraa.blocks import UpBlock
 from mraa.folding import PHASES, doubling, fold
 from mraa.grid import resize_flow, resize_map, warp
 from mraa.parts import Parts
+from mraa.precision import native_bf16
 from mraa.regions import Regions, regions_from_motion
 from mraa.renderer import Renderer, from_pixels
-from mraa.session import RenderSession, native_bf16
+from mraa.session import RenderSession
 
 CPU = torch.device("cpu")
 ROUNDS = 3

@@ -12,11 +12,12 @@ from safetensors.torch import load_file
 
 from mraa.accelerated import Accelerated
 from mraa.grid import resize_flow, resize_map, warp
+from mraa.precision import choose_precision, native_bf16
 from mraa.regions import Regions, regions_from_motion
 from mraa.released import load_released, read_checkpoint
 from mraa.released_sizes import config_from_released
 from mraa.renderer import GeneratorConfig, HourglassConfig, Renderer, RendererConfig
-from mraa.session import RenderSession, choose_precision, native_bf16
+from mraa.session import RenderSession
 
 GOLDEN = Path(__file__).resolve().parents[2].parent / "shared" / "golden"
 CPU = torch.device("cpu")
