@@ -16,7 +16,7 @@ from angie.animate import COMMENT, render, source_pose
 from angie.bundle import Bundle
 from angie.generator import AngieGenerator
 from angie.motion import Motion
-from angie.subject import photo_crop
+from angie.photo_crop import photo_crop
 from angie.vq import VQMotionExtractor
 from data_prep.errors import BadInput
 from data_prep.output import check_apart, check_output, whole_file

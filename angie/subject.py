@@ -3,49 +3,19 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from angie.bundle import Bundle
 from angie.framing import Framing, check_size, framing
+from angie.photo_crop import photo_crop
 from data_prep.errors import BadInput
 from data_prep.photo import read_photo
 from data_prep.rates import IMAGE_SIZE
-from data_prep.speaker import (
-    Crop,
-    check_crop,
-    choose_person,
-    cut_out,
-    find_people,
-    speaker_crop,
-)
+from data_prep.speaker import Crop, check_crop, cut_out
 from mraa.affine import WITH_AXES
 from mraa.fullsize import FullSize
 from mraa.precision import choose_precision
 from mraa.renderer import Renderer, from_pixels
-
-
-def photo_crop(path: Path, photo: np.ndarray, person: str | None = None) -> Crop:
-    """The square around the speaker's upper body, by the rule of the training data.
-
-    Args:
-        path: named in the message.
-        photo: (H, W, 3) uint8 RGB.
-        person: "left", "right" or "largest" of several people; None refuses them.
-
-    Raises:
-        BadInput: no face is found, or several people and none is chosen.
-    """
-    people = find_people(photo)
-    if not people:
-        raise BadInput(f"{path}: no face found; give the square yourself with --crop x,y,size")
-    if len(people) > 1 and person is None:
-        raise BadInput(
-            f"{path}: shows {len(people)} people; choose with --person left, right or largest, "
-            "or give the square yourself with --crop x,y,size"
-        )
-    face = people[choose_person(people, person or "largest")]
-    return speaker_crop(face, *photo.shape[:2])
 
 
 def check_look(precision: str, device: str, size: str | None, full_frame: bool) -> None:

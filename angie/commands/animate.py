@@ -1,7 +1,9 @@
 """Commands that make videos: animate, demo."""
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,6 +20,9 @@ from angie.commands.options import (
 )
 from data_prep.errors import BadInput
 from data_prep.progress import console
+
+if TYPE_CHECKING:
+    from data_prep.speaker import Crop
 
 
 def animate(
@@ -76,16 +81,14 @@ def animate(
         want_file(audio, "recording")
     if scale_motion not in ("none", "hull"):
         raise BadInput(f"--scale-motion {scale_motion}: there are none and hull")
-    square = None if crop is None else square_of(crop)
-    from angie.animate import animate as from_sound
+    given = None if crop is None else square_of(crop)
+    square = _found(photo, person) if given is None else lambda: given
     from angie.bundle import Bundle
     from angie.demo import BUNDLE
-    from angie.drive import drive as from_video
 
     bundle = Bundle.open(speaker or BUNDLE)
     look: dict[str, Any] = {
         "device": device_of(device),
-        "crop": square,
         "person": person,
         "precision": precision,
         "size": size,
@@ -95,6 +98,8 @@ def animate(
     }
     if drive is not None:
         want_file(drive, "driving video")
+        from angie.drive import drive as from_video
+
         if greedy or scale_motion != "none":
             raise BadInput("--greedy and --scale-motion are for gestures to sound, not for --drive")
         corner = None if drive_crop is None else square_of(drive_crop, "--drive-crop")
@@ -107,6 +112,7 @@ def animate(
             sound_path=audio,
             drive_crop=corner,
             drive_person=drive_person,
+            crop=square(),
             **look,
         )
     elif audio is None:
@@ -114,6 +120,8 @@ def animate(
     elif mode or drive_crop or drive_person:
         raise BadInput("--mode, --drive-crop and --drive-person go with --drive VIDEO")
     else:
+        from angie.animate import animate as from_sound
+
         result = from_sound(
             photo,
             audio,
@@ -122,6 +130,7 @@ def animate(
             seed=seed,
             scale_motion=scale_motion,
             greedy=greedy,
+            crop=square(),
             **look,
         )
     if result.note:
@@ -129,6 +138,16 @@ def animate(
     width, height = result.width_height
     sound = f"{result.seconds:.2f} s of sound" if result.seconds else "no sound"
     print(f"{result.path}: {result.frames} frames of {width}x{height}, {sound}")
+
+
+def _found(photo: Path, person: str | None) -> Callable[[], "Crop | None"]:
+    """Look for the person while the networks' libraries are imported; call it for the square."""
+    from angie.photo_crop import find_crop
+
+    with_libraries = ThreadPoolExecutor(1)
+    found = with_libraries.submit(find_crop, photo, person)
+    with_libraries.shutdown(wait=False)
+    return found.result
 
 
 def demo(

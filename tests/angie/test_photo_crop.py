@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from angie.demo import PHOTO
-from angie.subject import photo_crop
+from angie.photo_crop import photo_crop
 from data_prep.errors import BadInput
 from data_prep.photo import read_photo
 
