@@ -6,7 +6,9 @@ import signal
 import sys
 from typing import Annotated
 
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # spinning threads starve a shared machine
+from angie.waiting import WAITING
+
+os.environ.update({**WAITING, **os.environ})  # before torch comes
 
 import typer  # noqa: E402
 

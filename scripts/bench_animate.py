@@ -15,7 +15,9 @@ import tempfile
 import time
 from pathlib import Path
 
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+from angie.waiting import WAITING
+
+os.environ.update({**WAITING, **os.environ})  # before torch comes
 
 import numpy as np
 import torch

@@ -9,12 +9,17 @@ of the resident memory above the loaded models is told.
 """
 
 import dataclasses
+import os
 import sys
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from angie.waiting import WAITING
+
+os.environ.update({**WAITING, **os.environ})  # before torch comes
 
 import numpy as np
 import torch

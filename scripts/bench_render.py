@@ -20,7 +20,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+from angie.waiting import WAITING
+
+os.environ.update({**WAITING, **os.environ})  # before torch comes
 
 import torch
 import torch.nn.functional as F

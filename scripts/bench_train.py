@@ -24,7 +24,9 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+from angie.waiting import WAITING
+
+os.environ.update({**WAITING, **os.environ})  # before torch comes
 
 import cv2
 import numpy as np
