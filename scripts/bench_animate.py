@@ -71,9 +71,11 @@ def command(sound: Path, output: Path, bundle: Path) -> tuple[float, float, floa
 def lengths(folder: Path, bundle: Path, seconds: list[float]) -> None:
     """Animate recordings of several lengths."""
     sound, output = folder / "speech.wav", folder / "out.mp4"
-    speech(sound, 1)
-    loading = min(command(sound, output, bundle)[0] for _ in range(3))
-    print(f"One second of sound takes {loading:.2f} s, loading included.\n")
+    for name, length in (("frame", 1 / FPS), ("second", 1.0)):
+        speech(sound, length)
+        shortest = min(command(sound, output, bundle)[0] for _ in range(4))
+        print(f"One {name} takes {shortest:.2f} s from the shell and back.")
+    print()
     print("| sound, s | whole command, s | video s / s | processor, s | peak memory, MB | ratio |")
     print("|---|---|---|---|---|---|")
     first = 0.0
