@@ -11,7 +11,7 @@ from mraa.perceptual import PerceptualPyramid
 from mraa.regions import RegionEstimator, Regions
 from mraa.renderer import Renderer, from_pixels
 from mraa.renderer_training import RendererTraining
-from mraa.transform import thin_plate, tint
+from mraa.transform import thin_plate
 
 
 class Objective(nn.Module):
@@ -48,16 +48,12 @@ class Objective(nn.Module):
         assert isinstance(best, Renderer)
         return best
 
-    def forward(
-        self, frames: Tensor, plate: Tensor, colours: Tensor | None = None
-    ) -> dict[str, Tensor]:
+    def forward(self, frames: Tensor, plate: Tensor) -> dict[str, Tensor]:
         """Losses of pairs.
 
         Args:
             frames: (B, 2, H, W, 3) uint8, source first.
             plate: (B, 31) standard normal numbers of the equivariance transform.
-            colours: (B, 12) standard normal numbers of the change of colours that goes with it,
-                for `equivariance_tint`.
 
         Returns:
             The weighted terms of the loss, scalars: "perceptual", "shift", "affine", "painted",
@@ -75,7 +71,7 @@ class Objective(nn.Module):
         terms = self._reconstruction(source, driving, flow)
         return {
             **terms,
-            **self._regions(driving, driving_regions, plate, colours),
+            **self._regions(driving, driving_regions, plate),
             **self._taught(both, source, driving),
         }
 
@@ -94,15 +90,11 @@ class Objective(nn.Module):
         error = (prediction - truth).detach().abs().mean()
         return {"perceptual": loss, "painted": painted, "l1": error}
 
-    def _regions(
-        self, driving: Tensor, regions: Regions, plate: Tensor, colours: Tensor | None
-    ) -> dict[str, Tensor]:
+    def _regions(self, driving: Tensor, regions: Regions, plate: Tensor) -> dict[str, Tensor]:
         """Terms "shift" and "affine", the equivariance; zero while the estimator is frozen."""
         weights, renderer = self.weights, self.renderer
         if weights.freeze_estimator:
             return dict.fromkeys(("shift", "affine"), regions.shift.new_zeros(()))
-        if weights.equivariance_tint and colours is not None:
-            driving = tint(driving, colours.float(), weights.equivariance_tint)
         losses = equivariance_of(
             renderer.estimator,
             driving,

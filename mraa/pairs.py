@@ -10,7 +10,7 @@ from torch import Tensor
 
 from data_prep.dataset import Clip, Dataset
 from data_prep.rates import IMAGE_SIZE
-from mraa.transform import PLATE_NUMBERS, TINT_NUMBERS
+from mraa.transform import PLATE_NUMBERS
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,6 @@ class TrainingPair(NamedTuple):
     """(2, size, size, 3) uint8, source first."""
     plate: Tensor
     """(31,) float32 standard normal, for `mraa.transform.thin_plate`."""
-    tint: Tensor
-    """(12,) float32 standard normal, for `mraa.transform.tint`."""
 
 
 class FramePairs:
@@ -81,8 +79,8 @@ class FramePairs:
             small = (self.size, self.size)
             frames = [cv2.resize(f, small, interpolation=cv2.INTER_AREA) for f in frames]
         pair = torch.from_numpy(augment(np.stack(frames), self.augmentation, random))
-        noise = random.standard_normal(PLATE_NUMBERS + TINT_NUMBERS, dtype=np.float32)
-        return TrainingPair(pair, *torch.from_numpy(noise).split([PLATE_NUMBERS, TINT_NUMBERS]))
+        plate = torch.from_numpy(random.standard_normal(PLATE_NUMBERS, dtype=np.float32))
+        return TrainingPair(pair, plate)
 
 
 def augment(pair: np.ndarray, how: Augmentation, random: np.random.Generator) -> np.ndarray:

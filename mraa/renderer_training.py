@@ -40,9 +40,6 @@ class RendererTraining:
     perceptual: float = 10.0
     equivariance_shift: float = 10.0
     equivariance_affine: float = 10.0
-    equivariance_tint: float = 0.0
-    """Not in the paper: change the colours of the transformed frame of the equivariance losses by
-    this much, such as 0.25, so that regions follow a body in clothes of whatever colour."""
     occlusion_cost: float = 0.0
     """Not in the paper: weight of mean(1 - occlusion), so that the generator paints only where the
     deformed source cannot serve; a person unlike those of the training then stays that person."""
@@ -91,8 +88,6 @@ class RendererTraining:
             raise ValueError("rate and betas must lie between 0 and 1")
         if self.clip <= 0 or min(self.warmup_steps, self.warmup_gap, self.augmentation.zoom) < 0:
             raise ValueError("clip must be positive, warm-up and zoom not negative")
-        if self.equivariance_tint < 0:
-            raise ValueError("equivariance_tint must not be negative")
         if self.augmentation.zoom >= 1 or not self.perceptual_scales:
             raise ValueError("zoom must lie below 1, and perceptual_scales name at least one")
         if self.perceptual_backend not in ("auto", *BACKENDS):

@@ -125,7 +125,7 @@ def _train(
         run.rate(optimizer, training.rate, stage.milestones)
         for _ in run.parts(objective, training.accumulate):
             pair = next(batches)
-            terms = objective(pair.frames, pair.plate, pair.tint)
+            terms = objective(pair.frames, pair.plate)
             error = terms.pop("l1")
             loss = torch.stack(list(terms.values())).sum()
             run.backward(loss / training.accumulate)

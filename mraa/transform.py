@@ -1,4 +1,4 @@
-"""Random transforms for the equivariance losses: thin plates (FOMM, MRAA), and colours."""
+"""Random thin-plate transforms for the equivariance losses (FOMM, MRAA)."""
 
 import functools
 from dataclasses import dataclass
@@ -83,23 +83,3 @@ def thin_plate(noise: Tensor) -> ThinPlate:
 def random_thin_plate(batch: int, device: torch.device | None = None) -> ThinPlate:
     """Draw B transforms from torch's current random state."""
     return thin_plate(torch.randn(batch, PLATE_NUMBERS, device=device))
-
-
-TINT_NUMBERS = 12
-"""Random numbers that make a change of colours."""
-
-
-def tint(image: Tensor, noise: Tensor, amount: float) -> Tensor:
-    """Images in other colours: `(x - 1/2) (I + a N) + 1/2 + a n / 2`, cut off at 0 and 1.
-
-    Not in the papers. One matrix turns hues, contrast and saturation at once, so that clothes and
-    background change places in brightness.
-
-    Args:
-        image: (B, 3, H, W) in [0, 1].
-        noise: (B, `TINT_NUMBERS`) standard normal numbers, N before n.
-        amount: a, such as 0.25.
-    """
-    matrix = torch.eye(3, device=noise.device) + amount * noise[:, :9].unflatten(1, (3, 3))
-    offset = 0.5 + amount / 2 * noise[:, 9:, None, None]
-    return (torch.einsum("bchw,bcd->bdhw", image - 0.5, matrix) + offset).clamp(0, 1)
