@@ -16,6 +16,7 @@ FEW_STEPS = (
     "train_renderer.batch=2",
     "train_renderer.steps=200",
     "train_vq.schedule.most_steps=80",
+    "train_vq.checks=4",
     "train_gpt.schedule.most_steps=30",
     "train_refiner.schedule.most_steps=20",
 )
