@@ -1,6 +1,6 @@
 """How well the regions of a bundle explain the phantom's true joints, and what it reconstructs.
 
-    python scripts/check_regions.py RAW DATASET BUNDLE [STRIDE]
+    python scripts/check_regions.py RAW DATASET BUNDLE [--stride 5] [--without SOURCE,...]
 
 RAW is what `angie phantom` wrote, DATASET what `angie prepare` made of it, BUNDLE one whose
 renderer was trained on DATASET without the truth. A linear map from the K shifts of a frame to the
@@ -11,9 +11,10 @@ joints is fitted on the training clips, and predicts head, elbows and wrists on 
 for each joint, x and y together. "all" takes the mean over all test frames, "speaker" the mean of
 each speaker's test frames, so that knowing who is seen earns nothing. The baseline is the same map
 from as many numbers (2 K) that do without regions: principal components of the picture at 32x32.
+`--without` leaves out test videos that an earlier course of the bundle's training has seen.
 """
 
-import sys
+import argparse
 from pathlib import Path
 
 import cv2
@@ -94,18 +95,27 @@ def explained(truth: np.ndarray, guess: np.ndarray, who: np.ndarray) -> dict[str
 
 def main() -> None:
     """Print both tables in Markdown."""
-    raw, dataset, bundle = Path(sys.argv[1]), Dataset(Path(sys.argv[2])), Bundle.open(sys.argv[3])
-    stride = int(sys.argv[4]) if len(sys.argv) > 4 else 5
-    joints, renderer = truths(raw), bundle.renderer()
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    for name in ("raw", "dataset", "bundle"):
+        parser.add_argument(name, type=Path)
+    parser.add_argument("--stride", type=int, default=5)
+    parser.add_argument("--without", default="")
+    given = parser.parse_args()
+    dataset, stride = Dataset(given.dataset), given.stride
+    unseen = [c for c in dataset.clips("test") if c.source not in given.without.split(",")]
+    joints, renderer = truths(given.raw), Bundle.open(given.bundle).renderer()
     train = Frames(dataset, dataset.clips("train"), joints).read(renderer.estimator, stride)
-    test = Frames(dataset, dataset.clips("test"), joints).read(renderer.estimator, stride)
+    test = Frames(dataset, unseen, joints).read(renderer.estimator, stride)
     centre = train[1].mean(0)
     axes = np.linalg.svd(train[1][::3] - centre, full_matrices=False)[2][: train[0].shape[1]]
     inputs = {
         "regions": (train[0], test[0]),
         "components of the picture": ((train[1] - centre) @ axes.T, (test[1] - centre) @ axes.T),
     }
-    print(f"{len(train[0])} frames to fit, {len(test[0])} of {len(dataset.clips('test'))} clips\n")
+    videos = len({clip.source for clip in unseen})
+    print(
+        f"{len(train[0])} frames to fit, {len(test[0])} of {len(unseen)} clips, {videos} videos\n"
+    )
     print("| R^2, all / speaker | " + " | ".join([*JOINTS, "mean"]) + " |")
     print("|---" * (len(JOINTS) + 2) + "|")
     wanted = train[2].reshape(len(train[2]), -1)
@@ -114,7 +124,7 @@ def main() -> None:
         scores = explained(test[2], guess, test[3])
         cells = [f"{a:.3f} / {b:.3f}" for a, b in scores.values()]
         print(f"| {name} | " + " | ".join(cells) + " |")
-    score = reconstruct(renderer, dataset, dataset.clips("test"))
+    score = reconstruct(renderer, dataset, unseen)
     print(f"\nreconstruction from the first frame, {score.frames} frames: {score.as_dict()}")
 
 
