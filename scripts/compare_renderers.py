@@ -16,10 +16,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from safetensors.torch import load_file, save_file
+from refit_renderer import refit
+from safetensors.torch import save_file
 
 from angie.bundle import Bundle
-from angie.presets import Preset, override, parse_overrides, preset
+from angie.presets import override, parse_overrides, preset
 from angie.training import train
 from data_prep.dataset import Dataset
 from mraa.reconstruction import reconstruct
@@ -44,22 +45,6 @@ SHOWN = 8
 """Frames on the sheet."""
 
 
-def fitting(initial: Path, settings: Preset, folder: Path) -> Path:
-    """The initial weights that fit a renderer's sizes, its own random ones for the rest."""
-    torch.manual_seed(0)
-    own = Renderer(settings.renderer).state_dict()
-    given = load_file(initial)
-    fit = {
-        k: given[k].float() if k in given and given[k].shape == v.shape else v.clone()
-        for k, v in own.items()
-        if v.is_floating_point()
-    }
-    rest = {k: v for k, v in own.items() if k not in fit}
-    path = folder / "initial.safetensors"
-    save_file({k: v.contiguous() for k, v in {**fit, **rest}.items()}, path)
-    return path
-
-
 def train_variant(dataset: Path, folder: Path, settings: list[str], initial: str) -> Renderer:
     """Train one variant, or take it as it was trained."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -67,7 +52,8 @@ def train_variant(dataset: Path, folder: Path, settings: list[str], initial: str
     if initial:
         path = folder / "initial.safetensors"
         if not path.exists():
-            path = fitting(Path(initial), override(preset("lite"), changes), folder)
+            config = override(preset("lite"), changes).renderer
+            save_file(refit(Path(initial), config)[0], path)
         changes = parse_overrides([*settings, f"train_renderer.initial={path}"])
     how = RunConfig(device="cpu", precision=native_precision("cpu"))
     base, there = preset("lite"), (folder / "bundle" / "bundle.json").exists()
