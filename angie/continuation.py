@@ -60,7 +60,7 @@ def continue_codes(
         onset: (S, 426) standardised onset features of all steps.
         sampling: how to choose a code.
         generator: source of randomness, on the CPU.
-        voiced: (S,) bool, steps with sound, where the repeat guard may act; None: all.
+        voiced: (S,) bool, steps with sound, see `Sampling`; None: all.
         window: what is seen of a long sequence; None slides.
         speaker: place in the training set's speakers, for joint models; None is anyone.
 
@@ -81,7 +81,7 @@ def continue_codes(
         seen = codes[None, :, first:step].to(device)
         sound = onset[None, first + 1 : step + 1].to(device)
         logits = gpt.advance(seen, sound, cache, who)[0].float().cpu()  # (streams, V)
-        guard = voiced is None or bool(voiced[step])
-        codes[:, step] = draw(logits, codes[:, :step], sampling, generator, guard)
+        heard = voiced is None or bool(voiced[step])
+        codes[:, step] = draw(logits, codes[:, :step], sampling, generator, heard)
         first = step
     return codes[:, :steps]

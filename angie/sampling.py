@@ -1,6 +1,6 @@
 """How a code is chosen from logits: greedy or top-k, with a guard against repetition."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -21,12 +21,15 @@ class Sampling:
         temperature: divides the logits before drawing.
         repeat_guard: forbid, once, a code pair that stands more than 4 times in a row while
             there is sound.
+        calm: take the likeliest code where there is no sound, so that chance moves nobody in
+            silence.
     """
 
     method: str = "topk"
     k: int = 20
     temperature: float = 1.0
     repeat_guard: bool = False
+    calm: bool = field(default=False, metadata={"later": True})
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -42,7 +45,7 @@ def stuck(codes: Tensor) -> bool:
 
 
 def draw(
-    logits: Tensor, codes: Tensor, sampling: Sampling, generator: torch.Generator, guard: bool
+    logits: Tensor, codes: Tensor, sampling: Sampling, generator: torch.Generator, voiced: bool
 ) -> Tensor:
     """Choose the next code pair.
 
@@ -53,14 +56,14 @@ def draw(
         codes: (2, S) the codes so far.
         sampling: how to choose.
         generator: source of randomness, on the CPU.
-        guard: whether the repeat guard may act at this step.
+        voiced: whether there is sound at this step; the repeat guard acts there alone.
 
     Returns:
         (2,) int64.
     """
-    if sampling.repeat_guard and guard and stuck(codes):
+    if sampling.repeat_guard and voiced and stuck(codes):
         logits = logits.scatter(1, codes[:, -1:], float("-inf"))
-    if sampling.method == "greedy":
+    if sampling.method == "greedy" or (sampling.calm and not voiced):
         return logits.argmax(-1)
     values, order = logits.sort(dim=-1, descending=True, stable=True)
     values, order = values[:, : sampling.k], order[:, : sampling.k]

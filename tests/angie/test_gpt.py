@@ -224,6 +224,20 @@ def test_the_repeat_guard_acts_after_four_repeats_and_in_sound_only():
     assert not stuck(torch.tensor([[1, 1, 1, 1, 1], [0, 1, 0, 0, 0]]))
 
 
+def test_calm_sampling_leaves_nothing_to_chance_in_silence():
+    logits = torch.zeros(2, 16)
+    logits[:, 5] = 0.1
+    calm, codes = Sampling(calm=True), torch.zeros(2, 3, dtype=torch.int64)
+    drawn = {
+        voiced: {
+            tuple(draw(logits, codes, calm, torch.Generator().manual_seed(i), voiced).tolist())
+            for i in range(20)
+        }
+        for voiced in (True, False)
+    }
+    assert drawn[False] == {(5, 5)} and len(drawn[True]) > 5
+
+
 def test_bad_sampling_is_refused():
     for options in ({"method": "beam"}, {"k": 0}, {"temperature": 0.0}):
         with pytest.raises(ValueError, match="sampling|top-k"):
