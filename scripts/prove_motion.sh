@@ -21,12 +21,12 @@ settings=(
   generation.window.move=hop generation.decode=auto
 )
 joint=(
-  gpt.joint=true train_vq.schedule.most_steps=1200 train_gpt.schedule.most_steps=1000
-  train_refiner.schedule.most_steps=300
+  gpt.joint=true train_vq.schedule.most_steps=1000 train_gpt.schedule.most_steps=800
+  train_refiner.schedule.most_steps=200
 )
 fewer=(
-  train_vq.schedule.most_steps=300 train_gpt.schedule.most_steps=300
-  train_refiner.schedule.most_steps=80
+  train_vq.schedule.most_steps=250 train_gpt.schedule.most_steps=250
+  train_refiner.schedule.most_steps=60
 )
 
 mkdir -p "$work"
