@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from angie.gpt import CoSpeechGPT, KeyValues
-from angie.sampling import Sampling, draw
+from angie.sampling import SILENT_STEPS, Sampling, draw
 
 WINDOWS = ("slide", "hop")
 
@@ -48,6 +48,7 @@ def continue_codes(
     voiced: Tensor | None = None,
     window: Window | None = None,
     speaker: int | None = None,
+    still: Tensor | None = None,
 ) -> Tensor:
     """Continue a sequence of codes over all the sound.
 
@@ -63,6 +64,7 @@ def continue_codes(
         voiced: (S,) bool, steps with sound, see `Sampling`; None: all.
         window: what is seen of a long sequence; None slides.
         speaker: place in the training set's speakers, for joint models; None is anyone.
+        still: (streams,) codes of stillness, for calm sampling in long silence.
 
     Returns:
         (streams, S) int64 codes on the CPU; the first are `start`.
@@ -74,6 +76,7 @@ def continue_codes(
     codes[:, :begin] = start
     who = None if speaker is None else torch.tensor([speaker], device=device)
     cache = KeyValues(gpt.config, 1, device)
+    silent = 0
     first = max(0, begin - block)  # of the steps that are not in the cache
     for step in range(begin, steps):
         if cache.full:
@@ -83,5 +86,8 @@ def continue_codes(
         logits = gpt.advance(seen, sound, cache, who)[0].float().cpu()  # (streams, V)
         heard = voiced is None or bool(voiced[step])
         codes[:, step] = draw(logits, codes[:, :step], sampling, generator, heard)
+        silent = 0 if heard else silent + 1
+        if sampling.calm and still is not None and silent > SILENT_STEPS:
+            codes[:, step] = still
         first = step
     return codes[:, :steps]

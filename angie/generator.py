@@ -211,7 +211,8 @@ class AngieGenerator:
     ) -> Tensor:
         """Codes (streams, S) of raw onset features (S, 426)."""
         assert isinstance(self.vq, VQMotionExtractor) and self.gpt is not None
-        begin = self.vq.start_codes()[:, None] if start_codes is None else start_codes
+        still = self.vq.start_codes().cpu()
+        begin = still[:, None] if start_codes is None else start_codes
         return continue_codes(
             self.gpt,
             begin,
@@ -221,6 +222,7 @@ class AngieGenerator:
             voiced=voiced_tokens(onset),
             window=self.config.window,
             speaker=speaker,
+            still=still,
         )
 
     def _decode(self, codes: Tensor) -> Tensor:

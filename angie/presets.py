@@ -93,7 +93,7 @@ def _lite() -> Preset:
             bounding="auto",
             decode="auto",
             window=Window("hop"),
-            sampling=Sampling(method="topk", repeat_guard=True),
+            sampling=Sampling(method="topk", repeat_guard=True, calm=True),
         ),
         train_renderer=RendererTraining(
             batch=8,

@@ -10,6 +10,9 @@ METHODS = ("greedy", "topk")
 MOST_REPEATS = 4
 """The repeat guard acts when the last code pair stands there more often than this in a row."""
 
+SILENT_STEPS = 3
+"""Steps without sound (0.96 s) after which calm sampling is still."""
+
 
 @dataclass(frozen=True)
 class Sampling:
@@ -22,7 +25,7 @@ class Sampling:
         repeat_guard: forbid, once, a code pair that stands more than 4 times in a row while
             there is sound.
         calm: take the likeliest code where there is no sound, so that chance moves nobody in
-            silence.
+            silence; after a second of it, the codes of stillness.
     """
 
     method: str = "topk"

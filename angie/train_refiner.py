@@ -27,6 +27,8 @@ class RefinerTraining:
         checks: evenly spaced evaluations on the held-out windows.
         covariance: weight of the mean absolute error of C = L L^T, in units of its mean size.
         stride: frames from one training window to the next.
+        velocity: weight of the mean absolute error of the change from frame to frame, in which
+            the rhythm is; not in the paper.
     """
 
     schedule: Schedule = field(
@@ -36,10 +38,13 @@ class RefinerTraining:
     checks: int = 50
     covariance: float = 0.0
     stride: int = STRIDE
+    velocity: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.checks < 1 or not 0 <= self.drifting <= 1 or self.covariance < 0:
-            raise ValueError("checks must be positive, drifting a share, covariance not negative")
+        if self.checks < 1 or not 0 <= self.drifting <= 1:
+            raise ValueError("checks must be positive, drifting a share")
+        if min(self.covariance, self.velocity) < 0:
+            raise ValueError("covariance and velocity must not be negative")
         check_stride(self.stride)
 
 
@@ -158,6 +163,9 @@ def train_refiner(
         if training.covariance:
             error = covariance_loss(pattern + residual, truth, scale)
             loss = loss + training.covariance * error
+        if training.velocity:
+            off = pattern + residual.float() - truth
+            loss = loss + training.velocity * off.diff(dim=1).abs().mean()
         run.backward(loss)
         run.clip(model, optimizer, schedule.clip)
         optimizer.step()

@@ -13,7 +13,8 @@ hearing   Cross-entropy in nats per code with the own sound, with that of anothe
           speaker, and of an order-2 model of the codes (`angie.hearing`).
 calm      10 s of a test clip's speech and 10 s of digital silence in one recording, from the
           clip's first pose: mean speed of the active regions in the silence over that in the
-          speech, mean over speakers, clips and three seeds. `real` is the same ratio of the
+          speech, mean over speakers, clips and three seeds. `silence alone` takes 10 s of silence
+          without speech before, `real` is the same ratio of the
           recorded motion, pauses of a second or more (without their first half second) against
           the rest.
 long      The test sound of one speaker, joined up to 10 minutes, in one run: the largest excess of
@@ -106,6 +107,7 @@ def calm(
     known = {clip.id: clip for clip in data.clips("test")}
     seen: dict[str, int] = {}
     made, quiet, loud = [], [], []
+    silence = speech_features(np.zeros(QUIET * SAMPLE_RATE, np.float32))
     for clip in clips:
         still = pauses(data, known[clip.name])
         moved = speed(clip.motion, generator.statistics)
@@ -122,13 +124,16 @@ def calm(
                 speech, clip.motion[:1], border + QUIET * FPS, seed, clip.speaker
             )
             value = speed(motion, generator.statistics)
-            made.append((value[border:].mean(), value[1:border].mean(), value[-50:].mean()))
+            alone = generator.generate(silence, clip.motion[:1], QUIET * FPS, seed, clip.speaker)
+            rest = speed(alone, generator.statistics)[1:].mean()
+            made.append((value[border:].mean(), value[1:border].mean(), value[-50:].mean(), rest))
     table = np.array(made)
     pause = np.concatenate(quiet)
     return {
         "ratio": float(table[:, 0].mean() / table[:, 1].mean()),
         "worst": float((table[:, 0] / table[:, 1]).max()),
         "last two seconds": float(table[:, 2].mean() / table[:, 1].mean()),
+        "silence alone": float(table[:, 3].mean() / table[:, 1].mean()),
         "real": float(pause.mean() / np.concatenate(loud).mean()) if len(pause) else float("nan"),
         "recordings": len(made),
     }

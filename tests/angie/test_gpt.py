@@ -238,6 +238,21 @@ def test_calm_sampling_leaves_nothing_to_chance_in_silence():
     assert drawn[False] == {(5, 5)} and len(drawn[True]) > 5
 
 
+def test_long_silence_is_still_where_sampling_is_calm(gpt):
+    onset = torch.zeros(12, 10)
+    voiced = torch.tensor([True] * 3 + [False] * 8 + [True])
+    still = torch.tensor([15, 14])
+
+    def codes(calm: bool) -> torch.Tensor:
+        begin, source = torch.zeros(2, 1, dtype=torch.int64), torch.Generator().manual_seed(0)
+        sampling = Sampling(method="topk", k=4, calm=calm)
+        return continue_codes(gpt, begin, onset, sampling, source, voiced=voiced, still=still)
+
+    calm = codes(True)
+    assert (calm[:, 6:11] == still[:, None]).all() and not (calm[:, 5] == still).all()
+    assert not (codes(False)[:, 6:11] == still[:, None]).all()
+
+
 def test_bad_sampling_is_refused():
     for options in ({"method": "beam"}, {"k": 0}, {"temperature": 0.0}):
         with pytest.raises(ValueError, match="sampling|top-k"):
