@@ -251,6 +251,21 @@ def test_the_covariance_loss_of_a_hand_worked_case():
     )
 
 
+def test_velocity_in_the_loss_brings_changes_nearer_to_the_truth(vq, windows, tmp_path):
+    seen = pattern_windows(vq, windows)
+    pattern, mfcc = seen.stack("pattern", 0, 32), seen.stack("mfcc", 0, 32)
+    truth = seen.stack("poses", 0, 32)[:, 1:] / windows.statistics.pose_scale
+
+    def error(weight: float) -> float:
+        training = RefinerTraining(schedule(25, 4e-3), velocity=weight)
+        folder = tmp_path / str(weight)
+        refiner = train_refiner(folder, vq, windows, None, REFINER, training, run_config=CPU)
+        off = pattern + refiner(mfcc, pattern) - truth
+        return float(off.detach().diff(dim=1).abs().mean())
+
+    assert error(20.0) < error(0.0)
+
+
 def test_the_refiner_can_be_trained_on_covariances_too(vq, windows, tmp_path):
     def trained(folder, weight):
         folder.mkdir()
