@@ -99,9 +99,12 @@ class FrameScores:
 def chosen_frames(count: int, stride: int) -> NDArray:
     """Numbers of the frames that are scored: every `stride`-th and the one after it.
 
-    The first frame is the source and never scored; a pair in a row is what flicker needs.
+    The first frame is the source and never scored; a pair in a row is what flicker needs. A clip
+    that is too short for the stride gives its last two.
     """
     first = np.arange(max(stride, 1), count - 1, max(stride, 2))
+    if not len(first) and count > 2:
+        first = np.array([count - 2])
     return np.stack([first, first + 1], axis=1).reshape(-1)
 
 

@@ -9,6 +9,7 @@ import pytest
 from angie.evaluation.evaluate import evaluate
 from angie.evaluation.folder import evaluate_videos
 from angie.evaluation.networks import EvaluationConfig
+from angie.evaluation.pictures import chosen_frames
 from angie.evaluation.videos import padded
 from data_prep.errors import BadInput
 from data_prep.video import VideoWriter, probe
@@ -160,3 +161,8 @@ def test_bad_folders_of_videos_are_refused(folder, dataset, bundle, tmp_path):
                 EvaluationConfig(images=False, fgd_steps=1),
             )
     assert not list(tmp_path.glob("*out*")) and not list(tmp_path.glob(".*"))
+
+
+def test_a_clip_shorter_than_the_stride_gives_its_last_two_frames():
+    assert chosen_frames(12, 300).tolist() == [10, 11]
+    assert chosen_frames(3, 25).tolist() == [1, 2] and not len(chosen_frames(2, 25))
