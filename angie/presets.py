@@ -114,7 +114,8 @@ def _lite() -> Preset:
             schedule=Schedule(rate=1e-3, milestones=(400,), most_steps=1500), stride=8, checks=30
         ),
         train_refiner=RefinerTraining(
-            schedule=Schedule(rate=5e-4, betas=(0.9, 0.999), epochs=100, most_steps=1500)
+            schedule=Schedule(rate=2e-3, betas=(0.9, 0.999), epochs=100, most_steps=1500),
+            velocity=10.0,
         ),
         train_avd=AvdTraining(
             schedule=Schedule(rate=1e-3, batch=256, epochs=30, milestones=(20, 25), most_steps=4000)

@@ -18,11 +18,12 @@ settings=(
   vq.restart_below=0.1 train_vq.summed=1.0 train_vq.warmup=0.4 "train_vq.schedule.milestones=[400]"
   train_vq.checks=4 train_gpt.schedule.rate=1e-3 "train_gpt.schedule.milestones=[400]"
   train_gpt.stride=8 train_gpt.checks=12 train_gpt.patience=4 train_refiner.checks=5
+  train_refiner.velocity=10 train_refiner.schedule.rate=2e-3
   generation.window.move=hop generation.decode=auto generation.sampling.calm=true
 )
 joint=(
   gpt.joint=true train_vq.schedule.most_steps=1000 train_gpt.schedule.most_steps=800
-  train_refiner.schedule.most_steps=200
+  train_refiner.schedule.most_steps=500
 )
 fewer=(
   train_vq.schedule.most_steps=250 train_gpt.schedule.most_steps=250
