@@ -42,6 +42,11 @@ class Reconstruction:
         )
 
 
+def spread(clips: list[Clip], most: int = 4000) -> list[Clip]:
+    """Every n-th clip, so many that they have about `most` frames, or all where they are few."""
+    return clips[:: max(1, sum(clip.n_frames for clip in clips) // most)]
+
+
 @torch.no_grad()
 def reconstruct(
     renderer: Renderer,

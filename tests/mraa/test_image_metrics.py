@@ -2,10 +2,11 @@ import numpy as np
 import pytest
 import torch
 
+from data_prep.dataset import Clip
 from data_prep.errors import BadInput
 from mraa.image_metrics import PerceptualDistance, l1, psnr, score, ssim
 from mraa.perceptual import PerceptualPyramid
-from mraa.reconstruction import reconstruct
+from mraa.reconstruction import reconstruct, spread
 from mraa.renderer import GeneratorConfig, HourglassConfig, Renderer, RendererConfig
 
 
@@ -85,3 +86,9 @@ def test_reconstruction_of_the_copy_is_measured_against_the_first_frame(dataset)
     assert result.as_dict()["backend"] == "random_vgg"
     with pytest.raises(ValueError, match="no clip is longer"):
         reconstruct(Renderer(config), dataset, [clip], stride=stride + 1)
+
+
+def test_of_many_clips_some_are_spread_over_all():
+    clips = [Clip(str(i), "a", "test", "a", 0.0, 100) for i in range(50)]
+    assert spread(clips, 5000) == clips and spread(clips[:1], 50) == clips[:1]
+    assert [clip.id for clip in spread(clips, 1000)] == [str(i) for i in range(0, 50, 5)]
