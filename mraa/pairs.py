@@ -30,6 +30,12 @@ class Augmentation:
     """Not in the paper: cut both frames out alike, up to this fraction smaller, at a random
     place, so that other framings of a person are met in training."""
 
+    def __post_init__(self) -> None:
+        if min(self.brightness, self.contrast, self.saturation, self.hue) < 0:
+            raise ValueError("augmentation: changes of colour must not be negative")
+        if not (0 <= self.time_flip <= 1 and 0 <= self.horizontal_flip <= 1):
+            raise ValueError("augmentation: flips are probabilities in [0, 1]")
+
 
 class TrainingPair(NamedTuple):
     """A pair of frames and what else is random about it; a batch of them has B in front."""

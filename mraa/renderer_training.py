@@ -76,6 +76,13 @@ class RendererTraining:
         counts = (self.batch, self.accumulate, self.epochs, self.repeats, self.sheet_every)
         if min(counts) < 1 or self.steps < 0:
             raise ValueError("batch, accumulate, epochs, repeats, sheet_every must be positive")
+        weights = (self.perceptual, self.equivariance_shift, self.equivariance_affine)
+        if min(*weights, self.occlusion_cost, self.blend) < 0 or self.perceptual_width < 1:
+            raise ValueError("weights must not be negative, perceptual_width not below 1")
+        if not all(0 < scale <= 1 for scale in self.perceptual_scales):
+            raise ValueError("perceptual_scales must lie in (0, 1]")
+        if not all(0 <= part <= 1 for part in self.milestones):
+            raise ValueError("milestones are parts of the run in [0, 1]")
         if self.batch % self.accumulate:
             raise ValueError(f"batch {self.batch} does not divide into {self.accumulate} parts")
         if not 0 <= self.ema < 1 or self.distill_weight < 0:

@@ -3,7 +3,8 @@
     python scripts/check_regions.py RAW DATASET BUNDLE [--stride 5] [--without SOURCE,...]
 
 RAW is what `angie phantom` wrote, DATASET what `angie prepare` made of it, BUNDLE one whose
-renderer was trained on DATASET without the truth. A linear map from the K shifts of a frame to the
+renderer was trained on DATASET (the shipped one began with weights that were taught joints, see
+teach_renderer.py). A linear map from the K shifts of a frame to the
 joints is fitted on the training clips, and predicts head, elbows and wrists on the test clips:
 
     R^2 = 1 - sum |p - p^|^2 / sum |p - mean p|^2

@@ -76,6 +76,8 @@ def animate(
     from data_prep.output import check_output
 
     check_output(output, force=force)
+    if output.suffix.lower() != ".mp4":
+        raise BadInput(f"{output}: the video is an mp4; let its name end in .mp4")
     want_file(photo, "photo")
     if audio is not None:
         want_file(audio, "recording")

@@ -7,6 +7,7 @@ from angie.demo import BUNDLE
 from angie.other_bundles import initial_weights, teacher_of
 from angie.presets import preset
 from data_prep.errors import BadInput
+from mraa.pairs import Augmentation
 from mraa.renderer_training import RendererTraining
 
 SHIPPED = Bundle.open(BUNDLE).preset.renderer
@@ -51,6 +52,13 @@ def test_settings_that_make_no_sense_together_are_told():
         ({"teacher": "a", "distill_weight": 1.0, "freeze_estimator": True}, "learns nothing"),
         ({"ema": 1.0}, "ema must lie"),
         ({"batch": 9, "accumulate": 2}, "does not divide"),
+        ({"perceptual_width": 0}, "perceptual_width"),
+        ({"blend": -1.0}, "weights must not"),
+        ({"perceptual_scales": (2.0,)}, "perceptual_scales must lie"),
+        ({"milestones": (2.0,)}, "milestones"),
     ):
         with pytest.raises(ValueError, match=words):
             RendererTraining(**changes)
+    for changes, words in (({"hue": -1.0}, "colour"), ({"time_flip": 2.0}, "probabilities")):
+        with pytest.raises(ValueError, match=words):
+            Augmentation(**changes)
