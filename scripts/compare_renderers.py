@@ -23,6 +23,7 @@ from angie.bundle import Bundle
 from angie.presets import override, parse_overrides, preset
 from angie.training import train
 from data_prep.dataset import Dataset
+from data_prep.output import whole_file
 from mraa.reconstruction import reconstruct
 from mraa.renderer import Renderer, from_pixels, to_pixels
 from mraa.run import RunConfig, native_precision
@@ -53,7 +54,8 @@ def train_variant(dataset: Path, folder: Path, settings: list[str], initial: str
         path = folder / "initial.safetensors"
         if not path.exists():
             config = override(preset("lite"), changes).renderer
-            save_file(refit(Path(initial), config)[0], path)
+            with whole_file(path) as part:
+                save_file(refit(Path(initial), config)[0], part)
         changes = parse_overrides([*settings, f"train_renderer.initial={path}"])
     how = RunConfig(device="cpu", precision=native_precision("cpu"))
     base, there = preset("lite"), (folder / "bundle" / "bundle.json").exists()

@@ -15,6 +15,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from angie.presets import override, parse_overrides, preset
+from data_prep.output import whole_file
 from mraa.renderer import Renderer, RendererConfig
 
 
@@ -38,7 +39,8 @@ def main() -> None:
     asked = parser.parse_intermixed_args()
     settings = override(preset("lite"), parse_overrides(asked.settings))
     weights, taken = refit(asked.given, settings.renderer)
-    save_file(weights, asked.output)
+    with whole_file(asked.output, force=True) as part:
+        save_file(weights, part)
     print(f"{asked.output}: {taken} of {len(weights)} tensors are those of {asked.given}")
 
 

@@ -23,6 +23,7 @@ from torch import Tensor
 
 from angie.presets import override, parse_overrides, preset
 from data_prep.dataset import Dataset
+from data_prep.output import whole_file
 from data_prep.progress import progress
 from mraa.allocator import keep_memory
 from mraa.grid import coordinate_grid
@@ -214,7 +215,8 @@ def main() -> None:
     frames = TaughtFrames(raw, Dataset(dataset))
     teach_regions(renderer, frames, random)
     teach_masks(renderer, frames, random)
-    save_file({k: v.contiguous() for k, v in renderer.state_dict().items()}, output)
+    with whole_file(output, force=True) as part:
+        save_file({k: v.contiguous() for k, v in renderer.state_dict().items()}, part)
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ videos() { # NAME MINUTES PRESENTERS SEED
 renderer() { # DATA BUNDLE SETTINGS
   local data="$1" bundle="$2"
   shift 2
+  [ -f "$work/$bundle/renderer.safetensors" ] && return
   angie train "$work/$data" -o "$work/$bundle" --stage renderer --preset lite --resume \
     "${common[@]}" "$@"
 }
@@ -47,7 +48,8 @@ renderer data70 bundle "${deep[@]}" train_renderer.initial="$work/regions/render
   train_renderer.freeze_estimator=true train_renderer.steps=1200 train_renderer.rate=5e-4 \
   "train_renderer.milestones=[0.85]" train_renderer.occlusion_cost=0.5 train_renderer.ema=0.99 \
   train_renderer.augmentation.zoom=0.3
-angie train "$work/data70" -o "$work/bundle" --stage vq --resume gpt.joint=true \
+[ -f "$work/bundle/vq.safetensors" ] ||
+  angie train "$work/data70" -o "$work/bundle" --stage vq --resume gpt.joint=true \
   vq.restart_below=0.1 train_vq.summed=1.0 train_vq.warmup=0.4 \
   "train_vq.schedule.milestones=[400]" train_vq.schedule.most_steps=1000 train_vq.checks=4 \
   train_gpt.schedule.rate=1e-3 "train_gpt.schedule.milestones=[400]" train_gpt.stride=8 \
@@ -55,6 +57,8 @@ angie train "$work/data70" -o "$work/bundle" --stage vq --resume gpt.joint=true 
   train_refiner.schedule.most_steps=500 train_refiner.schedule.rate=2e-3 \
   train_refiner.velocity=10 train_refiner.checks=4 generation.window.move=hop \
   generation.decode=auto generation.sampling.calm=true
-angie train "$work/data70" -o "$work/bundle" --stage gpt --resume
-angie train "$work/data70" -o "$work/bundle" --stage refiner --resume
+[ -f "$work/bundle/gpt.safetensors" ] ||
+  angie train "$work/data70" -o "$work/bundle" --stage gpt --resume
+[ -f "$work/bundle/refiner.safetensors" ] ||
+  angie train "$work/data70" -o "$work/bundle" --stage refiner --resume
 python "$here/ship_default.py" "$work/bundle"
