@@ -1,6 +1,7 @@
 """Faces in a picture."""
 
 import functools
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -81,10 +82,15 @@ def _cascade(name: str) -> cv2.CascadeClassifier:
     return cascade
 
 
+_ONE_SEARCH = threading.Lock()
+"""A cascade keeps its place in itself: two searches at once would disturb each other."""
+
+
 def _hits(grey: np.ndarray, name: str, smallest: int) -> list[tuple[Face, int]]:
-    boxes, counts = _cascade(name).detectMultiScale2(
-        grey, scaleFactor=1.1, minNeighbors=2, minSize=(smallest, smallest)
-    )
+    with _ONE_SEARCH:
+        boxes, counts = _cascade(name).detectMultiScale2(
+            grey, scaleFactor=1.1, minNeighbors=2, minSize=(smallest, smallest)
+        )
     return [
         (Face(float(x), float(y), float(w), float(h)), int(n))
         for (x, y, w, h), n in zip(boxes, counts, strict=True)

@@ -38,7 +38,14 @@ def test_a_pair_moves_from_the_pose_it_is_given(shipped):
 def test_frequent_pairs_come_from_the_report(shipped):
     generator = shipped.generator()
     still = generator.vq.start_codes().tolist()
-    movers = [pair.codes.tolist() for pair in choose_pairs(generator, [], 4)]
+    rest = Motion.from_vector(generator.statistics.rest[:1])
+
+    def amount(codes):
+        motion = pair_motion(generator, torch.tensor(codes), rest)
+        return float((motion.shift - rest.shift).norm(dim=-1).mean())
+
+    pairs = [pair.codes.tolist() for pair in choose_pairs(generator, [], 6)]
+    movers = sorted(pairs, key=amount, reverse=True)
     report = [[*still, 99], [*movers[0], 9], [movers[0][0], 7, 8], [*movers[1], 7]]
     chosen = choose_pairs(generator, report, 4)
     assert [int(pair.codes[0]) for pair in chosen] == [movers[0][0], movers[1][0]]
