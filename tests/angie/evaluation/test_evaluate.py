@@ -59,7 +59,8 @@ def test_image_scores_of_the_true_regions_are_best(made):
     assert [key for key in true if true[key]["mean"] is None] == ["mkr"]
     assert true["l1"]["mean"] < still["l1"]["mean"]
     assert true["psnr"]["mean"] > still["psnr"]["mean"]
-    assert true["ssim"]["mean"] > still["ssim"]["mean"] and true["akd"]["mean"] > 0
+    for key in ("perceptual", "aed", "akd_joints"):
+        assert true[key]["mean"] < still[key]["mean"], key
 
 
 @pytest.mark.slow
