@@ -91,9 +91,8 @@ def ablate(
         raise BadInput(f"{bundle}: the ablations are of regions")
     base = override(source.preset, changes or {})
     base = replace(settings_of(base, "full"), generation=replace(base.generation, refine=True))
-    training = replace(base.train_renderer, initial="", teacher="")  # not needed again
     for name in variants:
-        try_out(settings_of(replace(base, train_renderer=training), name))
+        try_out(settings_of(base, name))
     origin = {
         "renderer": source.hash_of("renderer"),
         "dataset_sha256": data.digest,
@@ -138,7 +137,7 @@ def _train(
 ) -> None:
     """Train what a variant's bundle lacks; renderer and motion are the source's."""
     if not (folder / "bundle.json").is_file():
-        _copy_renderer(source, folder, preset)
+        copy_renderer(source, folder, preset)
     full = folder.parent / "full"
     if not preset.generation.refine:
         console.print("no_refine: the parts of full")
@@ -152,7 +151,7 @@ def _train(
         train(dataset, folder, stage=stage, resume=True, seed=seed, run=run)
 
 
-def _copy_renderer(source: Bundle, folder: Path, preset: Preset) -> None:
+def copy_renderer(source: Bundle, folder: Path, preset: Preset) -> None:
     """A bundle with the renderer, and the region motion that was measured with it."""
     made = Bundle.create(folder, preset)
     for key in ("speakers", "crop"):

@@ -25,7 +25,7 @@ def try_out(settings: Preset) -> None:
     """Build every part once: sizes that do not fit are told before anything is trained.
 
     Raises:
-        BadInput: which part cannot be built, or initial weights that cannot be loaded.
+        BadInput: which part cannot be built.
     """
     parts: dict[str, Callable[[], nn.Module]] = {
         "renderer": lambda: Renderer(settings.renderer),
@@ -46,11 +46,20 @@ def try_out(settings: Preset) -> None:
             raise BadInput(f"{name}: no network can have these sizes ({reason})") from error
         if any(weights.numel() == 0 for weights in model.parameters()):
             raise BadInput(f"{name}: no network can have these sizes (a width of 0)")
-    if settings.points:
-        return
-    if settings.train_renderer.initial:
-        initial_weights(settings.train_renderer, settings.renderer)
-    teacher_of(settings.train_renderer, settings.renderer)
+
+
+def try_weights(settings: Preset) -> None:
+    """Load once what the training of a renderer begins with or learns from.
+
+    Raises:
+        BadInput: weights that cannot be loaded.
+    """
+    training = settings.train_renderer
+    if training.initial:
+        initial_weights(training, settings.renderer)
+    teacher_of(training, settings.renderer)
+    if training.perceptual_weights:
+        load_vgg19(Path(training.perceptual_weights))
 
 
 def open_or_create(
@@ -81,8 +90,8 @@ def open_or_create(
         if stage not in ("all", first):
             raise BadInput(f"{output}: has no {first} yet; run angie train --stage {first} first")
         try_out(settings)
-        if settings.train_renderer.perceptual_weights:
-            load_vgg19(Path(settings.train_renderer.perceptual_weights))
+        if not settings.points:
+            try_weights(settings)
         if not exists and output.is_dir() and any(output.iterdir()):
             raise BadInput(f"{output}: holds other files; name a new folder for the bundle")
         check_output(output, force=output.is_dir())
@@ -101,6 +110,9 @@ def open_or_create(
         changed = override(bundle.preset, changes)
         try_out(changed)
         bundle.preset = changed
+        drawn = "renderer" in bundle.parts and not bundle.has("renderer")
+        if stage == "renderer" or (stage == "all" and drawn):
+            try_weights(changed)
         bundle.manifest["config"] = dataclasses.asdict(bundle.preset)
         bundle.write()
     return bundle

@@ -44,7 +44,16 @@ learnt() { # BUNDLE SEED SETTINGS...: its motion stages
   done
 }
 
-[ -d "$work/base" ] || cp -r "$renderer" "$work/base"
+[ -d "$work/base" ] || "${python[@]}" - "$renderer" "$work/base" <<'END'
+import sys
+from pathlib import Path
+
+from angie.ablation import copy_renderer
+from angie.bundle import Bundle
+
+source = Bundle.open(Path(sys.argv[1]))
+copy_renderer(source, Path(sys.argv[2]), source.preset)
+END
 [ -f "$work/base/statistics.safetensors" ] ||
   "${angie[@]}" train "$set" -o "$work/base" --stage motion
 bundles=()

@@ -1,11 +1,16 @@
 """What ships with the package works, and is what it says."""
 
+import shutil
+
 import numpy as np
+import pytest
 from PIL import Image
 
 from angie.animate import animate
 from angie.bundle import PARTS, Bundle
 from angie.demo import BUNDLE, DEFAULT, PHOTO, SPEECH
+from angie.opening import open_or_create
+from data_prep.errors import BadInput
 from data_prep.sound import read_sound, write_wav
 from data_prep.speaker import find_faces
 from data_prep.video import read_frames
@@ -40,3 +45,14 @@ def test_the_shipped_presenter_moves_while_speaking(tmp_path):
     assert moved[5:].mean() > 1  # of 255, over the whole picture
     speed = np.abs(np.diff(frames, axis=0)).mean(axis=(1, 2, 3))
     assert speed.max() < 25  # nothing jumps
+
+
+def test_motion_of_a_copy_is_trained_on_without_what_its_renderer_began_with(tmp_path):
+    folder = tmp_path / "copy"
+    shutil.copytree(BUNDLE, folder)
+    assert Bundle.open(folder).preset.train_renderer.initial  # weights that are not there
+    changes = {"train_vq": {"summed": 2.0}}
+    bundle = open_or_create(folder, None, changes, "vq", resume=False, force=False)
+    assert Bundle.open(folder).preset.train_vq.summed == bundle.preset.train_vq.summed == 2.0
+    with pytest.raises(BadInput, match="not the weights"):
+        open_or_create(folder, None, changes, "renderer", resume=False, force=False)
