@@ -99,6 +99,24 @@ def refiner_loss(residual: Tensor, pattern: Tensor, truth: Tensor, shifts: int) 
     return torch.stack([part.mean() for part in parts if part.shape[-1]]).sum()
 
 
+def whole_loss(
+    residual: Tensor,
+    pattern: Tensor,
+    truth: Tensor,
+    scale: Tensor,
+    shifts: int,
+    training: RefinerTraining,
+) -> Tensor:
+    """`refiner_loss` and what `training` adds to it, all in units of the pose scale (5K,)."""
+    loss = refiner_loss(residual, pattern, truth, shifts)
+    made = pattern + residual.float()
+    if training.covariance:
+        loss = loss + training.covariance * covariance_loss(made, truth, scale)
+    if training.velocity:
+        loss = loss + training.velocity * (made - truth).diff(dim=1).abs().mean()
+    return loss
+
+
 def covariance_loss(made: Tensor, truth: Tensor, scale: Tensor) -> Tensor:
     """Mean absolute error of C = L L^T over the mean size of the true C.
 
@@ -159,28 +177,24 @@ def train_refiner(
         truth = truth_of(batch, scale)
         pattern = add_drift(batch["pattern"], slopes, training.drifting)
         residual = model(batch["mfcc"], pattern)
-        loss = refiner_loss(residual, pattern, truth, config.channels[0])
-        if training.covariance:
-            error = covariance_loss(pattern + residual, truth, scale)
-            loss = loss + training.covariance * error
-        if training.velocity:
-            off = pattern + residual.float() - truth
-            loss = loss + training.velocity * off.diff(dim=1).abs().mean()
+        loss = whole_loss(residual, pattern, truth, scale, config.channels[0], training)
         run.backward(loss)
         run.clip(model, optimizer, schedule.clip)
         optimizer.step()
         optimizer.zero_grad()
         if held_out is not None and (step + 1) % every == 0:
-            best.consider(run.fabric.broadcast(held_out_loss(refiner, held_out)))
+            best.consider(run.fabric.broadcast(held_out_loss(refiner, held_out, training)))
         run.log(loss=loss, **best.scores())
     best.restore()
     return refiner.eval().cpu()
 
 
 @torch.no_grad()
-def held_out_loss(refiner: Refiner, windows: MotionWindows, at_once: int = 64) -> float:
-    """Mean loss of pattern windows without added drift."""
-    scale, training = windows.statistics.pose_scale, refiner.training
+def held_out_loss(
+    refiner: Refiner, windows: MotionWindows, training: RefinerTraining, at_once: int = 64
+) -> float:
+    """Mean loss, as in training, of pattern windows without added drift."""
+    scale, learning = windows.statistics.pose_scale, refiner.training
     device = refiner.shift.out.weight.device
     refiner.eval()
     total = 0.0
@@ -189,7 +203,8 @@ def held_out_loss(refiner: Refiner, windows: MotionWindows, at_once: int = 64) -
         batch = {part: windows.stack(part, first, first + at_once) for part in parts}
         pattern, truth = batch["pattern"].to(device), truth_of(batch, scale).to(device)
         residual = refiner(batch["mfcc"].to(device), pattern)
-        loss = refiner_loss(residual, pattern, truth, refiner.config.channels[0])
+        split = refiner.config.channels[0]
+        loss = whole_loss(residual, pattern, truth, scale.to(device), split, training)
         total += float(loss) * len(pattern)
-    refiner.train(training)
+    refiner.train(learning)
     return total / len(windows)

@@ -1,5 +1,6 @@
 """Training of the VQ motion extractor."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,6 +13,8 @@ from angie.schedule import Schedule
 from angie.vq import VQConfig, VQMotionExtractor
 from angie.windows import STRIDE, MotionWindows, check_stride
 from mraa.run import Run, RunConfig
+
+NORMS: dict[str, Callable[[Tensor], Tensor]] = {"absolute": Tensor.abs, "square": Tensor.square}
 
 CLUSTERED = 1000
 """Windows of which codebooks are begun after a warm-up, at most."""
@@ -31,6 +34,8 @@ class VQTraining:
         summed: weight of the mean absolute error of the deltas summed up from the window's
             beginning, which holds patterns near the true path; not in the paper. Channels count
             as they move in the picture: by their scale over the mean scale of their stream.
+        summed_norm: "absolute" or "square" of that error; the square, in which wide gestures
+            count more, is what the correlation of paths asks for.
         warmup: part of the steps before the codebooks come in; these then begin with the cluster
             centres of the encoders' vectors, not with vectors of one batch. Not in the paper.
     """
@@ -42,9 +47,12 @@ class VQTraining:
     still_share: float = 1.0
     checks: int = 50
     summed: float = 0.0
+    summed_norm: str = field(default="absolute", metadata={"later": True})
     warmup: float = 0.0
 
     def __post_init__(self) -> None:
+        if self.summed_norm not in NORMS:
+            raise ValueError(f"summed_norm is one of {', '.join(NORMS)}, not {self.summed_norm!r}")
         if self.checks < 1 or not 0 < self.still_share <= 1 or self.summed < 0:
             raise ValueError(
                 "checks must be positive, still_share a share above 0, summed not negative"
@@ -106,7 +114,8 @@ def train_vq(
         loss = loss + training.commitment * result.commitment + training.latent * result.latent
         if training.summed and bool(channels.relative.any()):
             off = (result.deltas.float() - target) * weights
-            errors["summed"] = off[..., channels.relative].cumsum(dim=1).abs().mean()
+            path = off[..., channels.relative].cumsum(dim=1)
+            errors["summed"] = NORMS[training.summed_norm](path).mean()
             loss = loss + training.summed * errors["summed"]
         run.backward(loss)
         run.clip(model, optimizer, schedule.clip)

@@ -123,8 +123,14 @@ def test_after_a_warmup_the_codebooks_begin_with_clusters(vq, windows, tmp_path,
     warm = train_vq(tmp_path, windows, None, VQ, training, run_config=CPU)
     assert begun == [len(windows)] and reconstruction(warm, windows)["shift_used"] > 5
     deltas = Channels.of(windows.statistics).normalise(windows.stack("poses", 0, 32))
-    away = [(one(deltas).deltas - deltas).cumsum(1).abs().mean() for one in (vq, warm)]
-    assert away[1] < away[0]  # what `summed` weighs
+    squared = dataclasses.replace(training, summed_norm="square")
+    wide = train_vq(tmp_path / "wide", windows, None, VQ, squared, run_config=CPU)
+    paths = [(one(deltas).deltas - deltas).cumsum(1) for one in (vq, warm, wide)]
+    plain, absolute, square = (path.abs().mean() for path in paths)
+    assert absolute < plain and square < plain  # what `summed` weighs
+    assert not torch.equal(paths[1], paths[2])
+    with pytest.raises(ValueError, match="summed_norm is one of absolute, square"):
+        VQTraining(summed_norm="cube")
 
 
 def test_vq_learns_to_reconstruct(vq, windows):
@@ -153,7 +159,10 @@ def test_refiner_brings_patterns_nearer_to_the_truth(vq, windows, held_out, tmp_
     training = RefinerTraining(schedule(60, 4e-3))
     refiner = train_refiner(tmp_path, vq, windows, held_out, REFINER, training, run_config=CPU)
     patterns = pattern_windows(vq, held_out)
-    assert held_out_loss(refiner, patterns) < 0.97 * held_out_loss(Refiner(REFINER), patterns)
+    before, after = (held_out_loss(one, patterns, training) for one in (Refiner(REFINER), refiner))
+    assert after < 0.97 * before
+    fast = dataclasses.replace(training, velocity=1.0)  # weights are chosen by all that is trained
+    assert held_out_loss(refiner, patterns, fast) > after
 
 
 def test_drift_is_linear_from_zero_and_in_a_share_of_the_windows():
