@@ -164,7 +164,7 @@ class Refiner(nn.Module):
         """Of shift and, if there is one, of the Cholesky factor."""
         return [self.shift, self.cholesky] if self.config.streams > 1 else [self.shift]
 
-    def forward(self, mfcc: Tensor, pattern: Tensor) -> Tensor:
+    def forward(self, mfcc: Tensor, pattern: Tensor, gain: float = 1.0) -> Tensor:
         """Residuals of a window.
 
         Only the displacement from the window's first frame is seen, so that the place of the
@@ -173,6 +173,7 @@ class Refiner(nn.Module):
         Args:
             mfcc: (B, T, 28, 12) standardised.
             pattern: (B, T, 5K) absolute pattern motion in units of the pose scale.
+            gain: factor on what the networks add.
 
         Returns:
             (B, T, 5K) residuals in units of the pose scale.
@@ -180,7 +181,7 @@ class Refiner(nn.Module):
         seen = slowed(pattern, self.config.slow) if self.config.slow else pattern
         displacement = (seen - seen[:, :1]).split(self.config.channels, dim=-1)
         parts = zip(self.streams, displacement, strict=True)
-        residual = torch.cat([stream(mfcc, part) for stream, part in parts], dim=-1)
+        residual = gain * torch.cat([stream(mfcc, part) for stream, part in parts], dim=-1)
         return residual + (seen - pattern) if self.config.slow else residual
 
     @torch.no_grad()
@@ -189,6 +190,7 @@ class Refiner(nn.Module):
         mfcc: Tensor,
         pattern: Tensor,
         standard: Callable[[Tensor], Tensor] = lambda mfcc: mfcc,
+        gain: float = 1.0,
     ) -> Tensor:
         """Residuals of a sequence of any length, in windows of 96 frames every 48.
 
@@ -198,6 +200,7 @@ class Refiner(nn.Module):
             mfcc: (T, 28, 12).
             pattern: (T, 5K) in units of the pose scale.
             standard: standardises MFCC windows (n, 96, 28, 12), a few at a time.
+            gain: factor on what the networks add.
 
         Returns:
             (T, 5K) residuals in units of the pose scale, on the CPU.
@@ -209,6 +212,6 @@ class Refiner(nn.Module):
         def compute(starts: list[int]) -> Tensor:
             sound = torch.stack([mfcc[at : at + size] for at in starts])
             motion = torch.stack([pattern[at : at + size] for at in starts])
-            return self(standard(sound.to(device)), motion.to(device))
+            return self(standard(sound.to(device)), motion.to(device), gain)
 
         return cross_fade(frames, WINDOW, HOP, compute)

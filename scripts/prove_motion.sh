@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# Train the motion side on 70 minutes of phantom and measure what it claims: codes, hearing, FGD and
+# Train the motion side on 66 minutes of phantom and measure what it claims: codes, hearing, FGD and
 # beats against baselines, the paper's ablations, calm in silence, long sound.
 #   bash scripts/prove_motion.sh WORK RENDERER     hours on one core; run again, it goes on
 # RENDERER is a bundle with a trained renderer (lite, 20 regions); its regions are used as they are.
 # WORK/raw and WORK/set are made unless they are there (links will do). ANGIE and PYTHON name the
 # commands where the package is not installed, such as ANGIE="python -m angie".
-#   SEEDS="0 1 2"     training seeds of the joint model
+#   SEEDS="0 1 2"     training seeds of the joint model, "longest" below; of one speaker "long"
 #   SPEAKERS="adam bella carl dora"     models of one speaker
 #   VARIANTS=full,...  rows of the ablations
 set -euo pipefail
@@ -15,23 +15,29 @@ read -ra angie <<<"${ANGIE:-angie}"
 read -ra python <<<"${PYTHON:-python}"
 set="$work/set"
 settings=(
-  vq.restart_below=0.1 train_vq.summed=1.0 train_vq.warmup=0.4 "train_vq.schedule.milestones=[400]"
-  train_vq.checks=4 train_gpt.schedule.rate=1e-3 "train_gpt.schedule.milestones=[400]"
+  'train_renderer.initial=""' 'train_renderer.teacher=""'
+  vq.restart_below=0.1 train_vq.warmup=0.2 train_vq.summed=0.3 train_vq.summed_norm=square
+  "train_vq.schedule.milestones=[400]" train_vq.checks=8
+  gpt.joint=true train_gpt.schedule.rate=1e-3 "train_gpt.schedule.milestones=[400]"
   train_gpt.stride=8 train_gpt.checks=12 train_gpt.patience=4 train_refiner.checks=5
   train_refiner.velocity=10 train_refiner.schedule.rate=2e-3
   generation.window.move=hop generation.decode=auto generation.sampling.calm=true
 )
-joint=(
-  gpt.joint=true train_vq.schedule.most_steps=1000 train_gpt.schedule.most_steps=800
-  train_refiner.schedule.most_steps=500
+longest=(
+  train_vq.schedule.most_steps=4000 train_gpt.schedule.most_steps=800
+  train_refiner.schedule.most_steps=1000
 )
-fewer=(
-  train_vq.schedule.most_steps=250 train_gpt.schedule.most_steps=250
-  train_refiner.schedule.most_steps=60
+long=(
+  train_vq.schedule.most_steps=1200 train_gpt.schedule.most_steps=400
+  train_refiner.schedule.most_steps=300
+)
+short=(
+  train_vq.schedule.most_steps=300 train_gpt.schedule.most_steps=250
+  train_refiner.schedule.most_steps=100
 )
 
 mkdir -p "$work"
-[ -d "$work/raw" ] || "${angie[@]}" phantom -o "$work/raw" --minutes 70 --seed 0
+[ -d "$work/raw" ] || "${angie[@]}" phantom -o "$work/raw" --minutes 66 --seed 1
 [ -d "$set" ] || "${angie[@]}" prepare "$work/raw" -o "$set"
 
 copied() { # BUNDLE: the renderer and the motion of the set, nothing learnt
@@ -59,7 +65,7 @@ END
 bundles=()
 for seed in ${SEEDS-0 1 2}; do
   copied "joint-$seed"
-  learnt "joint-$seed" "$seed" "${settings[@]}" "${joint[@]}"
+  learnt "joint-$seed" "$seed" "${settings[@]}" "${longest[@]}"
   bundles+=("$work/joint-$seed")
 done
 [ -f "$work/check.json" ] ||
@@ -69,13 +75,13 @@ done
     --fgd-steps 1000
 [ -f "$work/ablations/table3.md" ] ||
   "${angie[@]}" ablate "$set" "$work/base" -o "$work/ablations" --fgd "$work/report/fgd-0.safetensors" \
-    --seeds 3 --image-stride 150 ${VARIANTS:+--variants "$VARIANTS"} "${settings[@]}" gpt.joint=true "${fewer[@]}"
+    --seeds 3 --image-stride 150 ${VARIANTS:+--variants "$VARIANTS"} "${settings[@]}" "${short[@]}"
 own=()
 for name in ${SPEAKERS-adam bella carl dora}; do
   copied "$name"
   [ -f "$work/$name/vq.safetensors" ] ||
     "${angie[@]}" train "$set" -o "$work/$name" --stage motion --speaker "$name"
-  learnt "$name" 0 "${settings[@]}" "${fewer[@]}"
+  learnt "$name" 0 "${settings[@]}" gpt.joint=false "${long[@]}"
   own+=("$work/$name")
 done
 if [ "${#own[@]}" -gt 0 ] && [ ! -f "$work/check-own.json" ]; then

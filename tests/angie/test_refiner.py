@@ -127,3 +127,13 @@ def test_a_slow_refiner_begins_with_the_slowed_pattern():
 def test_slow_is_a_few_frames():
     with pytest.raises(ValueError, match="slow is a number of frames up to 12"):
         RefinerConfig(slow=13.0)
+
+
+def test_a_gain_is_on_what_the_networks_add():
+    for slow in (0.0, 2.0):
+        refiner = trained_by_chance()
+        refiner.config = dataclasses.replace(TINY, slow=slow)
+        mfcc, pattern = torch.randn(120, 28, 12), torch.randn(120, 20)
+        none, one, two = (refiner.refine(mfcc, pattern, gain=gain) for gain in (0.0, 1.0, 2.0))
+        assert torch.allclose(two - none, 2 * (one - none), atol=1e-5)
+        assert (none == 0).all() == (slow == 0)
