@@ -60,8 +60,6 @@ class GenerationConfig:
         decode: "full" (all codes in one pass), "chunked" (12 codes every 6, cross-faded) or
             "auto": whichever reconstructed long held-out clips better after training.
         refine: add the refiner's residuals.
-        rhythm: factor on them; above 1 it gives back the size that a regression of many possible
-            motions loses.
         reanchor: where motion is bounded, fade toward a training pose in pauses.
         smooth: standard deviation, in frames, of a Gaussian over time on the Cholesky factors;
             0 leaves them.
@@ -72,7 +70,6 @@ class GenerationConfig:
     bounding: str = "off"
     decode: str = "full"
     refine: bool = True
-    rhythm: float = field(default=1.0, metadata={"later": True})
     reanchor: bool = False
     smooth: float = 0.0
 
@@ -81,8 +78,6 @@ class GenerationConfig:
             raise ValueError(f"bounding is one of {', '.join(MODES)}, not {self.bounding!r}")
         if self.decode not in DECODINGS:
             raise ValueError(f"decode is one of {', '.join(DECODINGS)}, not {self.decode!r}")
-        if not 0 < self.rhythm <= 4:
-            raise ValueError(f"rhythm is a factor above 0 and up to 4, not {self.rhythm}")
         if self.smooth < 0:
             raise ValueError("smooth is a number of frames, 0 for none")
 
@@ -258,8 +253,7 @@ class AngieGenerator:
     def _residual(self, mfcc: Tensor, pattern: Tensor) -> Tensor:
         """Residual motion (T, 5K); it grows from zero over the first token."""
         scale = self.statistics.pose_scale
-        standard, gain = self.statistics.standard_mfcc, self.config.rhythm
-        residual = self.refiner.refine(mfcc, pattern / scale, standard, gain)
+        residual = self.refiner.refine(mfcc, pattern / scale, self.statistics.standard_mfcc)
         place = torch.arange(len(residual), dtype=torch.float32)
         return residual * scale * (place / FRAMES_PER_TOKEN).clamp_max(1)[:, None]
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from angie.overlap import cross_fade
 from angie.windows import WINDOW
@@ -18,8 +17,6 @@ from data_prep.features import MFCC_COLUMNS, MFCC_ROWS
 HOP = WINDOW // 2
 """Long sound is refined in windows of the training length, cross-faded."""
 
-SLOWEST = HOP // 4
-"""Largest standard deviation of the Gaussian on patterns, frames."""
 
 MFCC_ENCODERS = ("linear", "conv")
 
@@ -37,9 +34,6 @@ class RefinerConfig:
         dropout: between LSTM layers.
         mfcc_encoder: "linear" (two linear layers) or "conv" (ATVGnet's five convolutions).
         streams: 2 are shift and Cholesky factor, 1 is shift alone (keypoints).
-        slow: standard deviation, in frames, of a Gaussian over time on the patterns; what is
-            faster is left to the sound, because a pattern's own rhythm is that of the speech
-            that it was learnt from. 0 leaves patterns as they are, as in the paper.
     """
 
     regions: int = 20
@@ -50,11 +44,8 @@ class RefinerConfig:
     dropout: float = 0.1
     mfcc_encoder: str = field(default="linear", metadata={"later": True})
     streams: int = field(default=2, metadata={"later": True})
-    slow: float = field(default=0.0, metadata={"later": True})
 
     def __post_init__(self) -> None:
-        if not 0 <= self.slow <= SLOWEST:
-            raise ValueError(f"slow is a number of frames up to {SLOWEST}, not {self.slow}")
         if self.mfcc_encoder not in MFCC_ENCODERS:
             names = ", ".join(MFCC_ENCODERS)
             raise ValueError(f"mfcc_encoder is one of {names}, not {self.mfcc_encoder!r}")
@@ -95,22 +86,6 @@ def conv_encoder(channels: int) -> nn.Sequential:
     return nn.Sequential(*layers)
 
 
-def slowed(motion: Tensor, deviation: float) -> Tensor:
-    """Motion (B, T, C) after a Gaussian over time; the first and the last frame go on beyond.
-
-    Args:
-        motion: of T frames.
-        deviation: standard deviation in frames, above 0.
-    """
-    reach = round(3 * deviation)
-    place = torch.arange(-reach, reach + 1, device=motion.device, dtype=motion.dtype)
-    kernel = torch.exp(-0.5 * (place / deviation).square())
-    lines = motion.mT.flatten(0, 1)[:, None]  # (B * C, 1, T)
-    lines = functional.pad(lines, (reach, reach), mode="replicate")
-    smooth = functional.conv1d(lines, (kernel / kernel.sum())[None, None])
-    return smooth[:, 0].unflatten(0, (len(motion), -1)).mT
-
-
 class StreamRefiner(nn.Module):
     """Residuals of one stream of C channels."""
 
@@ -143,9 +118,6 @@ class StreamRefiner(nn.Module):
 class Refiner(nn.Module):
     """Residual motion from sound and pattern motion; exactly zero before training.
 
-    With `config.slow` residuals begin as what is taken from the pattern: pattern and residual
-    together are then the slowed pattern and what the networks add to it.
-
     Poses and residuals are in units of the training displacement's standard deviation.
 
     Args:
@@ -164,7 +136,7 @@ class Refiner(nn.Module):
         """Of shift and, if there is one, of the Cholesky factor."""
         return [self.shift, self.cholesky] if self.config.streams > 1 else [self.shift]
 
-    def forward(self, mfcc: Tensor, pattern: Tensor, gain: float = 1.0) -> Tensor:
+    def forward(self, mfcc: Tensor, pattern: Tensor) -> Tensor:
         """Residuals of a window.
 
         Only the displacement from the window's first frame is seen, so that the place of the
@@ -173,16 +145,13 @@ class Refiner(nn.Module):
         Args:
             mfcc: (B, T, 28, 12) standardised.
             pattern: (B, T, 5K) absolute pattern motion in units of the pose scale.
-            gain: factor on what the networks add.
 
         Returns:
             (B, T, 5K) residuals in units of the pose scale.
         """
-        seen = slowed(pattern, self.config.slow) if self.config.slow else pattern
-        displacement = (seen - seen[:, :1]).split(self.config.channels, dim=-1)
+        displacement = (pattern - pattern[:, :1]).split(self.config.channels, dim=-1)
         parts = zip(self.streams, displacement, strict=True)
-        residual = gain * torch.cat([stream(mfcc, part) for stream, part in parts], dim=-1)
-        return residual + (seen - pattern) if self.config.slow else residual
+        return torch.cat([stream(mfcc, part) for stream, part in parts], dim=-1)
 
     @torch.no_grad()
     def refine(
@@ -190,7 +159,6 @@ class Refiner(nn.Module):
         mfcc: Tensor,
         pattern: Tensor,
         standard: Callable[[Tensor], Tensor] = lambda mfcc: mfcc,
-        gain: float = 1.0,
     ) -> Tensor:
         """Residuals of a sequence of any length, in windows of 96 frames every 48.
 
@@ -200,7 +168,6 @@ class Refiner(nn.Module):
             mfcc: (T, 28, 12).
             pattern: (T, 5K) in units of the pose scale.
             standard: standardises MFCC windows (n, 96, 28, 12), a few at a time.
-            gain: factor on what the networks add.
 
         Returns:
             (T, 5K) residuals in units of the pose scale, on the CPU.
@@ -212,6 +179,6 @@ class Refiner(nn.Module):
         def compute(starts: list[int]) -> Tensor:
             sound = torch.stack([mfcc[at : at + size] for at in starts])
             motion = torch.stack([pattern[at : at + size] for at in starts])
-            return self(standard(sound.to(device)), motion.to(device), gain)
+            return self(standard(sound.to(device)), motion.to(device))
 
         return cross_fade(frames, WINDOW, HOP, compute)

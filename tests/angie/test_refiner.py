@@ -3,7 +3,7 @@ import dataclasses
 import pytest
 import torch
 
-from angie.refiner import Refiner, RefinerConfig, slowed
+from angie.refiner import Refiner, RefinerConfig
 
 TINY = RefinerConfig(regions=4, sound=8, motion=8, hidden=8, layers=2)
 
@@ -102,38 +102,3 @@ def test_mfcc_windows_are_standardised_on_the_way():
     mfcc, pattern = torch.randn(120, 28, 12), torch.randn(120, 20)
     expected = refiner.refine(mfcc * 2, pattern)
     assert torch.allclose(refiner.refine(mfcc, pattern, lambda m: m * 2), expected, atol=1e-6)
-
-
-def test_slowed_patterns_keep_still_poses_and_slow_moves_and_lose_fast_ones():
-    time = torch.arange(96.0)
-    still, line = torch.full((96,), 0.7), 0.1 * time
-    slow, fast = (torch.sin(2 * torch.pi * time / period) for period in (48, 5))
-    made = slowed(torch.stack([still, line, slow, fast], -1)[None], 2.0)[0]
-    inside = slice(6, -6)
-    assert torch.allclose(made[:, 0], still)
-    assert torch.allclose(made[inside, 1], line[inside], atol=1e-5)
-    for channel, true, period in ((2, slow, 48), (3, fast, 5)):
-        kept = torch.exp(torch.tensor(-0.5 * (2 * torch.pi / period * 2) ** 2))  # of a Gaussian
-        assert torch.allclose(made[inside, channel], kept * true[inside], atol=3e-3)
-
-
-def test_a_slow_refiner_begins_with_the_slowed_pattern():
-    refiner = Refiner(dataclasses.replace(TINY, slow=2.0))
-    pattern = torch.randn(2, 96, 20)
-    residual = refiner(torch.randn(2, 96, 28, 12), pattern)
-    assert torch.allclose(pattern + residual, slowed(pattern, 2.0), atol=1e-6)
-
-
-def test_slow_is_a_few_frames():
-    with pytest.raises(ValueError, match="slow is a number of frames up to 12"):
-        RefinerConfig(slow=13.0)
-
-
-def test_a_gain_is_on_what_the_networks_add():
-    for slow in (0.0, 2.0):
-        refiner = trained_by_chance()
-        refiner.config = dataclasses.replace(TINY, slow=slow)
-        mfcc, pattern = torch.randn(120, 28, 12), torch.randn(120, 20)
-        none, one, two = (refiner.refine(mfcc, pattern, gain=gain) for gain in (0.0, 1.0, 2.0))
-        assert torch.allclose(two - none, 2 * (one - none), atol=1e-5)
-        assert (none == 0).all() == (slow == 0)
