@@ -88,7 +88,7 @@ def _lite() -> Preset:
         ),
         vq=VQConfig(width=64, code_width=64, restart_below=0.1),
         gpt=GPTConfig(width=128, heads=4, layers=4),
-        refiner=RefinerConfig(sound=96, motion=64, hidden=64),
+        refiner=RefinerConfig(sound=96, motion=64, hidden=128),
         generation=GenerationConfig(
             bounding="auto",
             decode="auto",
@@ -106,16 +106,20 @@ def _lite() -> Preset:
             warmup_steps=3000,
         ),
         train_vq=VQTraining(
-            schedule=Schedule(rate=1e-3, milestones=(400,), most_steps=2500),
-            summed=1.0,
-            warmup=0.4,
+            schedule=Schedule(rate=1e-3, milestones=(400,), most_steps=4000),
+            summed=0.3,
+            summed_norm="square",
+            warmup=0.2,
         ),
         train_gpt=GPTTraining(
             schedule=Schedule(rate=1e-3, milestones=(400,), most_steps=1500), stride=8, checks=30
         ),
         train_refiner=RefinerTraining(
-            schedule=Schedule(rate=2e-3, betas=(0.9, 0.999), epochs=100, most_steps=1500),
-            velocity=10.0,
+            schedule=Schedule(
+                rate=2e-3, betas=(0.9, 0.999), epochs=100, milestones=(80,), most_steps=1500
+            ),
+            stride=16,
+            velocity=20.0,
         ),
         train_avd=AvdTraining(
             schedule=Schedule(rate=1e-3, batch=256, epochs=30, milestones=(20, 25), most_steps=4000)
@@ -278,6 +282,8 @@ def _convert(value: Any, hint: Any, name: str) -> Any:
         if value is None:
             return None
         return _convert(value, arguments[0], name)
+    elif hint is str and isinstance(value, bool):
+        return "on" if value else "off"  # what YAML took it from
     elif hint is float and _is_number(value) and math.isfinite(float(value)):
         return float(value)
     elif (

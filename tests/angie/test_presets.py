@@ -72,3 +72,11 @@ def test_wrong_settings_are_told(argument, message):
 def test_unknown_preset():
     with pytest.raises(BadInput, match="paper, lite, tiny"):
         preset("huge")
+
+
+def test_on_and_off_are_words_where_a_word_is_wanted():
+    for word in ("on", "off", "auto"):
+        changed = override(Preset(), parse_overrides([f"generation.bounding={word}"]))
+        assert changed.generation.bounding == word
+    with pytest.raises(BadInput, match="sampling is one of greedy, topk, not 'on'"):
+        override(Preset(), parse_overrides(["generation.sampling.method=yes"]))
