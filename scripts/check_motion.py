@@ -11,6 +11,10 @@ codes     Perplexity of each stream, against that of as many clusters (k-means o
           shifts with the true ones over windows of 96 frames, each from its true first frame.
 hearing   Cross-entropy in nats per code with the own sound, with that of another clip of the same
           speaker, and of an order-2 model of the codes (`angie.hearing`).
+beats     Beat consistency of the truth and of what is generated, with and without the refiner,
+          from the truth's first pose and code pair, mean of three seeds; and `by chance`, the
+          same motion against its sound shifted in a circle by 1.3, 2.7 and 4.1 s: many beats
+          alone score high, what is above chance keeps time.
 calm      10 s of a test clip's speech and 10 s of digital silence in one recording, from the
           clip's first pose: mean speed of the active regions in the silence over that in the
           speech, mean over speakers, clips and three seeds. `silence alone` takes 10 s of silence
@@ -43,21 +47,25 @@ from scipy.cluster.vq import kmeans2, vq
 
 from angie.bundle import Bundle
 from angie.clips import MotionClip, read_clips
-from angie.evaluation.space import points
+from angie.evaluation.space import onsets_within, points
 from angie.generator import AngieGenerator
 from angie.hearing import hearing
+from angie.metrics.beats import consistency, usual_steps
 from angie.motion import Motion
 from angie.patterns import STREAMS, perplexity, reconstruction
 from angie.quantisation import Channels
 from angie.statistics import MotionStatistics
 from angie.train_gpt import code_windows
-from angie.windows import MotionWindows
+from angie.windows import WINDOW, MotionWindows
 from data_prep.dataset import Dataset
 from data_prep.features import SpeechFeatures, speech_features
 from data_prep.rates import FPS, FRAMES_PER_TOKEN, SAMPLE_RATE, SAMPLES_PER_FRAME
 from data_prep.synchrony import steps
 
 SEEDS = (0, 1, 2)
+SHIFTS = (1.3, 2.7, 4.1)
+"""Seconds by which sound is shifted to tell synchrony from chance."""
+
 SPEECH = QUIET = 10
 """Seconds of speech and of silence after it."""
 
@@ -102,6 +110,51 @@ def speed(motion: Motion, statistics: MotionStatistics) -> NDArray:
     return steps(points(motion)[:, statistics.active.numpy()]).mean(1) * FPS
 
 
+def consistency_of(
+    motions: list[Motion], clips: list[MotionClip], active: NDArray, usual: NDArray, shift: float
+) -> float:
+    """Beat consistency of motions with the sound of clips, shifted in a circle by seconds."""
+    sounds = []
+    for motion, clip in zip(motions, clips, strict=True):
+        length = motion.frames / FPS
+        sounds.append(np.sort((onsets_within(clip, motion.frames) + shift) % length))
+    score = consistency([points(m)[:, active] for m in motions], sounds, usual, FPS)
+    return float("nan") if score.value is None else score.value
+
+
+def beats(
+    generator: AngieGenerator, train: list[MotionClip], clips: list[MotionClip]
+) -> dict[str, dict[str, float]]:
+    """Beat consistency and what of it is chance; of the truth, with and without the refiner."""
+    active = generator.statistics.active.numpy()
+    usual = usual_steps([points(clip.motion)[:, active] for clip in train])
+    bare = replace(generator, config=replace(generator.config, refine=False))
+    runs = {"truth": [[clip.motion for clip in clips]]}
+    for name, one in (("refined", generator), ("without refiner", bare)):
+        runs[name] = [[begun(one, clip, seed) for clip in clips] for seed in SEEDS]
+    found = {}
+    for name, seeds in runs.items():
+        scores = {
+            kind: [
+                consistency_of(run, clips, active, usual, shift)
+                for run in seeds
+                for shift in shifts
+            ]
+            for kind, shifts in (("bc", (0.0,)), ("by chance", SHIFTS))
+        }
+        found[name] = {kind: float(np.mean(values)) for kind, values in scores.items()}
+    return found
+
+
+def begun(generator: AngieGenerator, clip: MotionClip, seed: int) -> Motion:
+    """Motion to the sound of a clip, begun with its first pose and code pair."""
+    codes = generator.codes_of(clip.motion[:WINDOW])
+    assert codes is not None
+    return generator.generate(
+        clip.features, clip.motion[:1], clip.motion.frames, seed, clip.speaker, codes[:, :1]
+    )
+
+
 def calm(
     generator: AngieGenerator, data: Dataset, clips: list[MotionClip], first: int = 3
 ) -> dict[str, float]:
@@ -139,12 +192,6 @@ def calm(
         "real": float(pause.mean() / np.concatenate(loud).mean()) if len(pause) else float("nan"),
         "recordings": len(made),
     }
-
-
-def calmer(generator: AngieGenerator) -> AngieGenerator:
-    """The same generator, leaving nothing to chance where there is no sound."""
-    sampling = replace(generator.config.sampling, calm=True)
-    return replace(generator, config=replace(generator.config, sampling=sampling))
 
 
 def pauses(data: Dataset, clip: Any) -> NDArray:
@@ -270,8 +317,8 @@ def check(data: Dataset, folder: Path, minutes: float) -> dict[str, Any]:
         "test_minutes": sum(c.motion.frames for c in test) / FPS / 60,
         "codes": codes_of(bundle, windows, held_out),
         "hearing": heard.as_dict() if heard is not None else None,
+        "beats": beats(generator, train, test),
         "calm": calm(generator, data, test),
-        "calm, sampling.calm=true": calm(calmer(generator), data, test),
     }
     if minutes:
         result["long"] = long(generator, data, folder, train, test, minutes)
