@@ -5,6 +5,9 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+EDGE = 1e-6
+"""Weight of what does not count, which decides where there is nothing else."""
+
 
 def window_starts(length: int, window: int, hop: int) -> list[int]:
     """First positions of windows that cover `length`; the last one ends exactly there.
@@ -26,12 +29,14 @@ def cross_fade(
     hop: int,
     compute: Callable[[list[int]], Tensor],
     at_once: int = 32,
+    fade: int | None = None,
 ) -> Tensor:
     """Compute windows in groups and blend them with linear ramps.
 
-    Each window is weighted by a triangle that is largest in its middle; the weights of a frame
-    sum to one, so windows that agree are reproduced exactly. Memory beside the result does not
-    grow with the length.
+    Each window is weighted by a triangle that is largest in its middle, or, with `fade`, by one
+    that is cut off so that a window becomes the next within that many frames. The weights of a
+    frame sum to one, so windows that agree are reproduced exactly. Memory beside the result does
+    not grow with the length.
 
     Args:
         length: frames of the whole sequence, T.
@@ -39,6 +44,7 @@ def cross_fade(
         hop: frames from one window to the next.
         compute: from n first frames to the windows' values (n, window, C).
         at_once: most windows in one call of `compute`.
+        fade: frames of a ramp, in the middle of the overlap; None takes all of the overlap.
 
     Returns:
         (T, C) blended values.
@@ -47,6 +53,9 @@ def cross_fade(
     starts = window_starts(length, window, min(hop, window))
     place = torch.arange(window, dtype=torch.float32)
     ramp = torch.minimum(place + 1, window - place)
+    if fade is not None:
+        before = (window - min(hop, window) - fade) / 2  # frames at the edge that do not count
+        ramp = ((ramp - before) / (fade + 1)).clamp(EDGE, 1)
     total, weight = None, torch.zeros(length, 1)
     for begin in range(0, len(starts), at_once):
         group = starts[begin : begin + at_once]

@@ -15,7 +15,10 @@ from angie.windows import WINDOW
 from data_prep.features import MFCC_COLUMNS, MFCC_ROWS
 
 HOP = WINDOW // 2
-"""Long sound is refined in windows of the training length, cross-faded."""
+FADE = 16
+"""Long sound is refined in windows of the training length. The middle of each is taken, faded into
+the next within 16 frames: where two windows are averaged motion loses what they do not share, and
+with longer fades that comes and goes with the windows."""
 
 
 MFCC_ENCODERS = ("linear", "conv")
@@ -162,7 +165,7 @@ class Refiner(nn.Module):
     ) -> Tensor:
         """Residuals of a sequence of any length, in windows of 96 frames every 48.
 
-        The LSTMs start anew in each window, as in training; residuals are cross-faded.
+        The LSTMs start anew in each window, as in training; residuals are cross-faded over 16.
 
         Args:
             mfcc: (T, 28, 12).
@@ -181,4 +184,4 @@ class Refiner(nn.Module):
             motion = torch.stack([pattern[at : at + size] for at in starts])
             return self(standard(sound.to(device)), motion.to(device))
 
-        return cross_fade(frames, WINDOW, HOP, compute)
+        return cross_fade(frames, WINDOW, HOP, compute, fade=FADE)

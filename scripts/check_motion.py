@@ -215,13 +215,13 @@ def long_sound(data: Dataset, clips: list[MotionClip], minutes: float) -> Speech
 
 
 def borders(generator: AngieGenerator, frames: int) -> dict[str, NDArray]:
-    """First frames of the windows in which long sound is generated, by what has windows."""
+    """Frames at which one window becomes the next in long sound, by what has windows."""
     assert generator.gpt is not None
     block = generator.gpt.config.block
     hop = block - generator.config.window.kept(block)
     last = frames // FRAMES_PER_TOKEN
     steps_of = np.arange(block + 1, last, hop) if hop else np.zeros(0, int)
-    return {"gpt": steps_of * FRAMES_PER_TOKEN, "refiner": np.arange(48, frames - 48, 48)}
+    return {"gpt": steps_of * FRAMES_PER_TOKEN, "refiner": np.arange(72, frames - 96, 48)}
 
 
 def generate_long(

@@ -12,15 +12,16 @@ def test_windows_cover_to_the_very_end():
         window_starts(0, 4, 2)
 
 
+@pytest.mark.parametrize("fade", [None, 16])
 @pytest.mark.parametrize("length", [1, 5, 96, 97, 150, 1000])
-def test_windows_that_agree_are_reproduced(length):
+def test_windows_that_agree_are_reproduced(length, fade):
     truth = torch.randn(length, 3)
     size = min(96, length)
 
     def compute(starts):
         return torch.stack([truth[at : at + size] for at in starts])
 
-    assert torch.allclose(cross_fade(length, 96, 48, compute, at_once=2), truth, atol=1e-6)
+    assert torch.allclose(cross_fade(length, 96, 48, compute, at_once=2, fade=fade), truth, atol=1e-5)
 
 
 def test_the_fade_is_linear():
@@ -30,4 +31,14 @@ def test_the_fade_is_linear():
 
     blended = cross_fade(12, 8, 4, compute)[:, 0]
     assert torch.allclose(blended[4:8], torch.tensor([0.2, 0.4, 0.6, 0.8]))
+    assert (blended[:4] == 0).all() and (blended[8:] == 1).all()
+
+
+def test_a_short_fade_is_in_the_middle_of_the_overlap():
+    # windows 0 and 1 overlap in 4 frames, of which the middle two are weighted (2,1) and (1,2)
+    def compute(starts):
+        return torch.stack([torch.full((8, 1), float(at > 0)) for at in starts])
+
+    blended = cross_fade(12, 8, 4, compute, fade=2)[:, 0]
+    assert torch.allclose(blended[4:8], torch.tensor([0, 1 / 3, 2 / 3, 1]), atol=1e-5)
     assert (blended[:4] == 0).all() and (blended[8:] == 1).all()
