@@ -21,7 +21,9 @@ def test_windows_that_agree_are_reproduced(length, fade):
     def compute(starts):
         return torch.stack([truth[at : at + size] for at in starts])
 
-    assert torch.allclose(cross_fade(length, 96, 48, compute, at_once=2, fade=fade), truth, atol=1e-5)
+    assert torch.allclose(
+        cross_fade(length, 96, 48, compute, at_once=2, fade=fade), truth, atol=1e-5
+    )
 
 
 def test_the_fade_is_linear():
