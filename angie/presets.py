@@ -106,10 +106,10 @@ def _lite() -> Preset:
             warmup_steps=3000,
         ),
         train_vq=VQTraining(
-            schedule=Schedule(rate=1e-3, milestones=(400,), most_steps=4000),
+            schedule=Schedule(rate=1e-3, milestones=(350, 450), most_steps=4000),
             summed=0.3,
             summed_norm="square",
-            warmup=0.2,
+            warmup=0.25,
         ),
         train_gpt=GPTTraining(
             schedule=Schedule(rate=1e-3, milestones=(400,), most_steps=1500), stride=8, checks=30

@@ -16,8 +16,8 @@ read -ra python <<<"${PYTHON:-python}"
 set="$work/set"
 settings=(
   'train_renderer.initial=""' 'train_renderer.teacher=""'
-  vq.restart_below=0.1 train_vq.warmup=0.2 train_vq.summed=0.3 train_vq.summed_norm=square
-  "train_vq.schedule.milestones=[400]" train_vq.checks=8
+  vq.restart_below=0.1 train_vq.warmup=0.25 train_vq.summed=0.3 train_vq.summed_norm=square
+  "train_vq.schedule.milestones=[350,450]" train_vq.checks=5
   gpt.joint=true train_gpt.schedule.rate=1e-3 "train_gpt.schedule.milestones=[400]"
   train_gpt.stride=8 train_gpt.checks=12 train_gpt.patience=4
   refiner.hidden=128 train_refiner.velocity=20 train_refiner.stride=16 train_refiner.checks=5
@@ -25,11 +25,11 @@ settings=(
   generation.window.move=hop generation.decode=auto generation.sampling.calm=true
 )
 longest=(
-  train_vq.schedule.most_steps=4000 train_gpt.schedule.most_steps=800
-  train_refiner.schedule.most_steps=1200
+  train_vq.schedule.most_steps=2500 train_gpt.schedule.most_steps=800
+  train_refiner.schedule.most_steps=1500
 )
 long=(
-  train_vq.schedule.most_steps=1200 train_gpt.schedule.most_steps=400
+  train_vq.schedule.most_steps=2500 train_gpt.schedule.most_steps=300
   train_refiner.schedule.most_steps=300
 )
 short=(
