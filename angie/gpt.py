@@ -45,6 +45,13 @@ class GPTConfig:
     def __post_init__(self) -> None:
         if self.streams not in (1, 2):
             raise ValueError(f"there are 1 or 2 streams of codes, not {self.streams}")
+        sizes = (self.codes, self.onset, self.width, self.heads, self.layers, self.block)
+        if min(sizes) < 1:
+            raise ValueError("codes, onset, width, heads, layers and block must be positive")
+        if self.width % self.heads:
+            raise ValueError(f"width {self.width} is not a multiple of {self.heads} heads")
+        if not 0 <= self.dropout < 1:
+            raise ValueError(f"dropout lies between 0 and 1, not {self.dropout:g}")
 
     @property
     def blocks(self) -> int:
@@ -90,8 +97,6 @@ class CausalAttention(nn.Module):
 
     def __init__(self, width: int, heads: int, dropout: float) -> None:
         super().__init__()
-        if width % heads:
-            raise ValueError(f"width {width} is not a multiple of {heads} heads")
         self.heads, self.rate = heads, dropout
         self.mix = nn.Linear(width, 3 * width)
         self.out = nn.Linear(width, width)

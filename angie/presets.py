@@ -23,7 +23,9 @@ from angie.train_gpt import GPTTraining
 from angie.train_refiner import RefinerTraining
 from angie.train_vq import VQTraining
 from angie.vq import VQConfig
+from angie.windows import WINDOW_TOKENS
 from data_prep.errors import BadInput
+from data_prep.features import ONSET_SIZE
 from mraa.pairs import Augmentation
 from mraa.renderer import GeneratorConfig, HourglassConfig, RendererConfig
 from mraa.renderer_training import RendererTraining
@@ -72,6 +74,10 @@ class Preset:
         streams = {self.vq.streams, self.gpt.streams, self.refiner.streams}
         if streams != {1 if self.points else 2}:
             raise BadInput("the parts disagree: streams is 1 for points, else 2, in every part")
+        if (self.gpt.onset, self.gpt.block) != (ONSET_SIZE, WINDOW_TOKENS - 1):
+            raise BadInput(
+                f"gpt: onset is {ONSET_SIZE} and block {WINDOW_TOKENS - 1}, as in all windows"
+            )
 
 
 def _lite() -> Preset:
@@ -267,7 +273,7 @@ def _replace(base: T, changes: Mapping[str, Any], prefix: str) -> T:
     try:
         return dataclasses.replace(base, **values)  # type: ignore[type-var]
     except ValueError as error:
-        raise BadInput(f"{prefix or 'settings'}: {error}") from error
+        raise BadInput(f"{prefix.rstrip('.') or 'settings'}: {error}") from error
 
 
 def _convert(value: Any, hint: Any, name: str) -> Any:

@@ -54,6 +54,10 @@ class RefinerConfig:
             raise ValueError(f"mfcc_encoder is one of {names}, not {self.mfcc_encoder!r}")
         if self.streams not in (1, 2):
             raise ValueError(f"there are 1 or 2 streams of motion, not {self.streams}")
+        if min(self.regions, self.sound, self.motion, self.hidden, self.layers) < 1:
+            raise ValueError("regions, sound, motion, hidden and layers must be positive")
+        if not 0 <= self.dropout < 1:
+            raise ValueError(f"dropout lies between 0 and 1, not {self.dropout:g}")
 
     @property
     def channels(self) -> list[int]:

@@ -33,6 +33,10 @@ class Schedule:
             raise ValueError("rate and betas must lie between 0 and 1")
         if min(self.batch, self.epochs) < 1 or self.most_steps < 0 or self.clip <= 0:
             raise ValueError("batch, epochs and clip must be positive")
+        if min(self.milestones, default=1) < 1 or sorted(set(self.milestones)) != [
+            *self.milestones
+        ]:
+            raise ValueError("milestones are epochs from 1 on, each later than the one before")
 
     def steps(self, items: int) -> int:
         """Optimiser steps for a dataset of `items` windows."""

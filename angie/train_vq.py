@@ -57,6 +57,8 @@ class VQTraining:
             raise ValueError(
                 "checks must be positive, still_share a share above 0, summed not negative"
             )
+        if min(self.commitment, self.latent) < 0:
+            raise ValueError("commitment and latent must not be negative")
         if not 0 <= self.warmup < 1:
             raise ValueError("warmup is a part of the steps, below 1")
         check_stride(self.stride)

@@ -38,7 +38,7 @@ class VQConfig:
         code_width: numbers of an entry.
         update: codebook update, "ema" or "loss" (equation 9 literally).
         decay: of the codebook's moving averages.
-        restart_below: moving count below which an entry restarts.
+        restart_below: moving count below which an entry restarts; 0 for never.
         quant: what is quantised, "full" or a variant of the paper's Table 3; see
             `angie.quantisation`.
         streams: 2 are shift and Cholesky factor, 1 is shift alone (keypoints).
@@ -59,6 +59,10 @@ class VQConfig:
             raise ValueError(f"quant is one of {', '.join(QUANTS)}, not {self.quant!r}")
         if self.streams not in (1, 2):
             raise ValueError(f"there are 1 or 2 streams of codes, not {self.streams}")
+        if min(self.regions, self.width, self.codes, self.code_width) < 1:
+            raise ValueError("regions, width, codes and code_width must be positive")
+        if self.restart_below < 0:
+            raise ValueError("restart_below is a count of vectors, 0 for no restarts")
 
     @property
     def channels(self) -> list[int]:

@@ -31,8 +31,9 @@ class Augmentation:
     place, so that other framings of a person are met in training."""
 
     def __post_init__(self) -> None:
-        if min(self.brightness, self.contrast, self.saturation, self.hue) < 0:
-            raise ValueError("augmentation: changes of colour must not be negative")
+        colours = (self.brightness, self.contrast, self.saturation, self.hue)
+        if not all(0 <= change <= 1 for change in colours):
+            raise ValueError("augmentation: changes of colour lie in [0, 1]")
         if not (0 <= self.time_flip <= 1 and 0 <= self.horizontal_flip <= 1):
             raise ValueError("augmentation: flips are probabilities in [0, 1]")
 

@@ -1,10 +1,12 @@
 """The renderer: its sizes, its parts, and one source animated by regions."""
 
+import math
 from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor, nn
 
+from data_prep.rates import IMAGE_SIZE
 from mraa.affine import ROOTS
 from mraa.avd import AvdNetwork
 from mraa.background import PARAMETERS, BackgroundPredictor
@@ -21,6 +23,10 @@ class HourglassConfig:
     blocks: int = 5
     max_width: int = 1024
 
+    def __post_init__(self) -> None:
+        if min(self.width, self.blocks) < 1 or self.max_width < self.width:
+            raise ValueError("width and blocks must be positive, max_width not below width")
+
 
 @dataclass(frozen=True)
 class GeneratorConfig:
@@ -31,6 +37,16 @@ class GeneratorConfig:
     max_width: int = 512
     down_blocks: int = 2
     bottleneck_blocks: int = 6
+
+    def __post_init__(self) -> None:
+        if self.design not in ("paper", "lite", "deep"):
+            raise ValueError("design is paper, lite or deep")
+        if self.width < 1 or min(self.down_blocks, self.bottleneck_blocks) < 0:
+            raise ValueError("width must be positive, numbers of blocks not negative")
+        if self.design == "paper" and self.max_width < self.width:
+            raise ValueError("max_width must not lie below width")
+        if self.design == "paper" and IMAGE_SIZE % 2**self.down_blocks:
+            raise ValueError(f"{self.down_blocks} down_blocks halve {IMAGE_SIZE} pixels too often")
 
 
 @dataclass(frozen=True)
@@ -61,14 +77,20 @@ class RendererConfig:
         for name, known in modes.items():
             if getattr(self, name) not in known:
                 raise ValueError(f"{name} is one of {', '.join(known)}")
-        if self.generator.design not in ("paper", "lite", "deep"):
-            raise ValueError("generator.design is paper, lite or deep")
-        if self.regions < 1 or not self.temperature > 0:
-            raise ValueError("regions and temperature must be positive")
+        if min(self.regions, self.avd_id_width, self.avd_pose_width) < 1 or self.temperature <= 0:
+            raise ValueError("regions, temperature and widths of avd must be positive")
+        if min(self.heatmap_padding, self.covariance_floor) < 0:
+            raise ValueError("heatmap_padding and covariance_floor must not be negative")
         for name in ("estimator_scale", "flow_scale", "background_scale"):
             scale = getattr(self, name)
             if not 0 < scale <= 1 or abs(round(1 / scale) * scale - 1) > 1e-6:
                 raise ValueError(f"{name} must be 1 over a whole number")
+        for name in ("estimator", "flow", "background"):
+            size = math.ceil(IMAGE_SIZE * getattr(self, f"{name}_scale"))
+            blocks = getattr(self, name).blocks
+            whole = name == "background" or size % 2**blocks == 0  # an encoder rounds down
+            if size < 2**blocks or not whole:
+                raise ValueError(f"{blocks} {name}.blocks halve {size} pixels too often")
 
 
 @dataclass(frozen=True)

@@ -79,8 +79,8 @@ class RendererTraining:
         weights = (self.perceptual, self.equivariance_shift, self.equivariance_affine)
         if min(*weights, self.occlusion_cost, self.blend) < 0 or self.perceptual_width < 1:
             raise ValueError("weights must not be negative, perceptual_width not below 1")
-        if not all(0 < scale <= 1 for scale in self.perceptual_scales):
-            raise ValueError("perceptual_scales must lie in (0, 1]")
+        if not set(self.perceptual_scales) <= set(PYRAMID_SCALES):
+            raise ValueError(f"perceptual_scales are of {', '.join(map(str, PYRAMID_SCALES))}")
         if not all(0 <= part <= 1 for part in self.milestones):
             raise ValueError("milestones are parts of the run in [0, 1]")
         if self.batch % self.accumulate:

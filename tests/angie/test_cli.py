@@ -200,7 +200,8 @@ def test_module_and_version():
     [
         ("train_renderer.betas=[2,3]", "betas must lie"),
         ("train_renderer.initial=/nonexistent", "not the weights"),
-        ("renderer.estimator.width=0", "a width of 0"),
+        ("renderer.estimator.width=0", "width and blocks must be positive"),
+        ("renderer.generator.width=1", "a width of 0"),
         ("gpt.heads=3", "not a multiple"),
         ("vq.decay=2", "decay lies between"),
         ("train_gpt.checks=0", "must be positive"),

@@ -54,7 +54,7 @@ def test_settings_that_make_no_sense_together_are_told():
         ({"batch": 9, "accumulate": 2}, "does not divide"),
         ({"perceptual_width": 0}, "perceptual_width"),
         ({"blend": -1.0}, "weights must not"),
-        ({"perceptual_scales": (2.0,)}, "perceptual_scales must lie"),
+        ({"perceptual_scales": (2.0,)}, "perceptual_scales are of"),
         ({"milestones": (2.0,)}, "milestones"),
     ):
         with pytest.raises(ValueError, match=words):

@@ -69,6 +69,42 @@ def test_wrong_settings_are_told(argument, message):
         override(preset("lite"), parse_overrides([argument]))
 
 
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("vq.restart_below=-1", "vq: restart_below"),
+        ("vq.code_width=0", "vq: .*code_width must be positive"),
+        ("train_vq.schedule.milestones=[400, 200]", "train_vq.schedule: milestones are epochs"),
+        ("train_gpt.schedule.milestones=[0]", "milestones are epochs from 1 on"),
+        ("train_avd.schedule.milestones=[20, 20]", "each later than the one before"),
+        ("train_gpt.schedule.milestones=[2.5]", "a int is wanted"),
+        ("train_vq.commitment=-1", "commitment and latent"),
+        ("gpt.heads=3", "width 128 is not a multiple of 3 heads"),
+        ("gpt.heads=0", "must be positive"),
+        ("gpt.layers=0", "must be positive"),
+        ("gpt.dropout=1", "dropout lies between 0 and 1"),
+        ("gpt.block=5", "block 11"),
+        ("refiner.hidden=0", "must be positive"),
+        ("refiner.dropout=-0.1", "dropout lies between 0 and 1"),
+        ("renderer.covariance_floor=-1e-4", "covariance_floor must not be negative"),
+        ("renderer.heatmap_padding=-1", "heatmap_padding"),
+        ("renderer.avd_id_width=0", "widths of avd"),
+        ("renderer.generator.bottleneck_blocks=-1", "renderer.generator: .*not negative"),
+        ("renderer.generator={design: paper, down_blocks: 9}", "too often"),
+        ("renderer.estimator.blocks=0", "renderer.estimator: width and blocks must be positive"),
+        ("renderer.flow.max_width=16", "max_width not below width"),
+        ("renderer.estimator.blocks=7", "7 estimator.blocks halve 64 pixels too often"),
+        ("renderer.background.blocks=7", "7 background.blocks halve 64 pixels too often"),
+        ("train_renderer.perceptual_scales=[0.3]", "are of 1.0, 0.5, 0.25, 0.125"),
+        ("train_renderer.augmentation.hue=2", r"colour lie in \[0, 1\]"),
+    ],
+)
+def test_numbers_that_cannot_be_are_told(argument, message):
+    with pytest.raises(BadInput, match=message) as told:
+        override(preset("lite"), parse_overrides([argument]))
+    assert len(str(told.value).splitlines()) == 1
+
+
 def test_unknown_preset():
     with pytest.raises(BadInput, match="paper, lite, tiny"):
         preset("huge")
