@@ -22,13 +22,31 @@ from angie.commands.motion import ablate, codebook, gestures
 from data_prep.errors import BadInput
 from data_prep.progress import console
 
+UsageError: type[Exception] = typer.BadParameter.__mro__[1]
+"""What every wrong use of the command line is; where Typer keeps it depends on the version."""
+
 FEW_COLLECTIONS = 100_000
 """Objects between collections of garbage: the libraries make a million that stay, and looking
 through them again and again took a sixth of the time to the first frame."""
 
+INTERRUPTED = 128 + signal.SIGINT
+"""Exit status after Ctrl-C."""
+
+
+class Interrupt(KeyboardInterrupt):
+    """Ctrl-C, with a status.
+
+    A plain one that meets code made of text, which modules with dataclasses run while they are
+    loaded, makes Python end by the signal, whatever becomes of it.
+    """
+
+
+def _interrupt(*_: object) -> None:
+    raise Interrupt
+
+
 app = typer.Typer(
     help="One photo of a speaker and a speech recording in, a video of that person gesturing out.",
-    no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -51,32 +69,62 @@ for command in (
 
 
 @app.callback(invoke_without_command=True)
-def version(
+def bare(
+    context: typer.Context,
     show: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
 ) -> None:
     """One photo of a speaker and a speech recording in, a video of that person gesturing out."""
     if show:
         print(f"angie {__version__}")
         raise typer.Exit
+    if context.invoked_subcommand is None:
+        print(context.get_help(), file=sys.stderr)
+        raise typer.Exit(2)
 
 
 def main() -> None:
     """Run the command; bad input is one line on standard error and exit status 2."""
     gc.set_threshold(FEW_COLLECTIONS)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # what is half-written is removed
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else it is not wanted
+        signal.signal(signal.SIGINT, _interrupt)
     for stream in (sys.stdout, sys.stderr):  # file names may be no text
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
+    status, text = _run()
+    if text:
+        line = f"angie: {' '.join(text.splitlines())}"
+        console.print(line, style="red", highlight=False, markup=False, soft_wrap=True)
+    if status:
+        sys.exit(status)
+
+
+def _run() -> tuple[int, str]:
+    """Exit status of the command, and the line that tells what went wrong, or nothing."""
     try:
-        app()
+        status = app(standalone_mode=False) or 0  # of typer.Exit; commands return None
     except BadInput as error:
-        console.print(f"angie: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
-        sys.exit(2)
+        return 2, str(error)
+    except UsageError as error:
+        return 2, f"{_usage(error)} (see {_place()} --help)"
     except OSError as error:  # disk full, no permission, a name that is too long ...
         place = f"{error.filename}: " if error.filename else ""
-        text = f"angie: {place}{error.strerror or error}"
-        console.print(text, style="red", highlight=False, markup=False, soft_wrap=True)
-        sys.exit(2)
+        return 2, f"{place}{error.strerror or error}"
+    except (KeyboardInterrupt, typer.Abort):  # Typer makes a status of it, but not everywhere
+        status = INTERRUPTED
+    return status, "interrupted" if status == INTERRUPTED else ""
+
+
+def _usage(error: Exception) -> str:
+    """What was wrong with the command line, such as "no such option: --sped"."""
+    text: str = error.format_message().strip().rstrip(".")  # type: ignore[attr-defined]
+    return text[:1].lower() + text[1:]
+
+
+def _place() -> str:
+    """The command whose help tells what would be right, such as "angie animate"."""
+    names = [one.callback.__name__ for one in app.registered_commands if one.callback]
+    return " ".join(["angie", *(word for word in sys.argv[1:2] if word.replace("-", "_") in names)])
 
 
 if __name__ == "__main__":

@@ -8,6 +8,8 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from typing import TypeVar
 
 MOST = 61 if sys.platform == "win32" else 512
@@ -57,9 +59,11 @@ def _run(
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(jobs, context, initializer=_begin)
-    futures: dict[Future[Result], int] = {pool.submit(work, tasks[i]): i for i in indices}
+    futures: dict[Future[Result], int] = {}
     done = False
     try:
+        with _held_back_interrupts():
+            futures = {pool.submit(work, tasks[i]): i for i in indices}
         for future in as_completed(futures):
             try:
                 result = future.result()
@@ -73,6 +77,20 @@ def _run(
             for process in set(multiprocessing.active_children()) - others:
                 process.terminate()
         pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _held_back_interrupts() -> Iterator[None]:
+    """Ctrl-C comes after the block; processes begun in it never see it, not even as they start."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows: `_begin` alone, a moment later
+        yield
+        return
+    resource_tracker.ensure_running()  # its own start would let the signal through
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin() -> None:

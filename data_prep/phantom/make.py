@@ -1,8 +1,6 @@
 """Raw videos of the phantom speaker, with word times and the truth beside them."""
 
 import json
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,6 +19,7 @@ from data_prep.phantom.presenters import Presenter, Setting, presenter, setting
 from data_prep.phantom.script import script
 from data_prep.phantom.skeleton import JOINTS, Course, Joints, joints
 from data_prep.phantom.speech import Speech, speak
+from data_prep.pool import spread
 from data_prep.progress import progress
 from data_prep.rates import FPS
 from data_prep.video_writer import VideoWriter
@@ -257,14 +256,9 @@ def make_phantom(
         raise BadInput(f"{output}: cannot make the folder ({error.strerror})") from error
     done = []
     with progress("phantom", len(orders), "videos") as advance:
-        if jobs == 1:
-            for order in orders:
-                done.append(Path(_write(order)))
-                advance(1, Path(order.path).name)
-        else:
-            context = multiprocessing.get_context("spawn")
-            with ProcessPoolExecutor(jobs, mp_context=context) as pool:
-                for name in pool.map(_write, orders):
-                    done.append(Path(name))
-                    advance(1, Path(name).name)
+        for order, name in spread(_write, orders, jobs):
+            if name is None:
+                raise BadInput(f"{order.path}: its process died; take fewer --jobs")
+            done.append(Path(name))
+            advance(1, Path(name).name)
     return sorted(done)

@@ -1,5 +1,6 @@
 """The command: bad input is one line and exit status 2, and leaves nothing behind."""
 
+import signal
 import subprocess
 import sys
 
@@ -183,9 +184,43 @@ def test_bad_driving_options_are_one_line(inputs, tmp_path, capsys, options, wor
     assert list(tmp_path.iterdir()) == []
 
 
-def test_usage_errors_exit_with_2(capsys):
-    status, _, err = call(capsys, "animate")
-    assert status == 2 and "missing argument" in err.lower() and "photo" in err.lower()
+@pytest.mark.parametrize(
+    ("arguments", "words", "place"),
+    [
+        (["animate"], "missing argument 'photo'", "angie animate"),
+        (["animate", "a.png", "--sped", "3"], "no such option: --sped", "angie animate"),
+        (["animate", "a.png", "--seed", "x"], "'--seed'", "angie animate"),
+        (["animate", "a.png", "--size"], "'--size' requires an argument", "angie animate"),
+        (["animate", "a", "b", "c", "-o", "d"], "unexpected extra argument", "angie animate"),
+        (["import-mraa", "a.pth"], "'--output'", "angie import-mraa"),
+        (["phantom", "-o", "x", "--minutes", "0"], "'--minutes'", "angie phantom"),
+        (["animte"], "no such command 'animte'", "angie"),
+        (["--verbose\nly"], "no such option: --verbose", "angie"),
+    ],
+)
+def test_usage_errors_are_one_line(capsys, arguments, words, place):
+    status, out, err = call(capsys, *arguments)
+    assert status == 2 and out == "" and err.count("\n") == 1 and err.startswith("angie: ")
+    assert words.lower() in err.lower() and err.endswith(f" (see {place} --help)\n")
+
+
+def test_help_is_printed(capsys):
+    status, nothing, alone = call(capsys)
+    assert status == 2 and nothing == "" and "animate" in alone
+    status, out, err = call(capsys, "--help")
+    assert status == 0 and err == "" and out.strip() == alone.strip()
+    status, out, err = call(capsys, "animate", "--help")
+    assert status == 0 and err == "" and "--size" in out
+
+
+def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path, capsys, monkeypatch):
+    def interrupted(*_, **__):
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr("data_prep.phantom.make.make_phantom", interrupted)
+    status, out, err = call(capsys, "phantom", "-o", tmp_path / "raw")
+    assert (status, out, err) == (130, "", "angie: interrupted\n")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_module_and_version():

@@ -35,3 +35,13 @@ def fail(number: int) -> int:
 def test_an_exception_comes_through() -> None:
     with pytest.raises(ValueError, match="number"):
         list(spread(fail, [1, 2, 3], 2))
+
+
+def deaf(_: int) -> bool:
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no masks of signals here")
+def test_an_interrupt_is_for_the_parent_alone() -> None:
+    assert sorted(spread(deaf, [1, 2], 2)) == [(1, True), (2, True)]
+    assert not deaf(0)
