@@ -281,9 +281,9 @@ class Bundle:
         """The gesture generator on the CPU, all its parts in eval mode.
 
         Args:
-            precision: of the GPT's large products: "bf16", or "auto" where the processor has it
-                natively; else float32. Rounding parts two sequences of codes where two codes are
-                about equally likely; either is as good.
+            precision: of the GPT's large products: bfloat16 for "bf16" and "auto" where the
+                processor has it natively and PyTorch can pack it; else float32. Rounding parts
+                two sequences of codes where two codes are about equally likely; either is as good.
 
         Raises:
             BadInput: parts are missing or unusable.

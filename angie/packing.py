@@ -19,7 +19,7 @@ LEAST = 512
 
 
 def product_type(precision: str) -> torch.dtype:
-    """bfloat16 for "auto" and "bf16" where the CPU has it natively, else float32."""
+    """bfloat16 for "auto" and "bf16" where the CPU has it natively, else float32 ("fp16" too)."""
     half = precision in ("auto", "bf16") and native_bf16(torch.device("cpu"))
     return torch.bfloat16 if half else torch.float32
 
@@ -62,11 +62,17 @@ def can_pack(dtype: torch.dtype = torch.float32) -> bool:
         return False  # a build without these operators; nn.Linear stays
 
 
+def packable(dtype: torch.dtype) -> torch.dtype | None:
+    """What products wanted in `dtype` are packed in: that, else float32; None if neither can be."""
+    return next((kind for kind in (dtype, torch.float32) if can_pack(kind)), None)
+
+
 def pack(model: nn.Module, dtype: torch.dtype = torch.float32) -> nn.Module:
     """Replace the large linear layers of a float32 model on the CPU, each with a GELU after it.
 
     The model then computes the same (to rounding of `dtype`) without gradients, and its state can
-    no longer be saved. Where PyTorch cannot do it, or the model lies elsewhere, it is left alone.
+    no longer be saved. Where PyTorch cannot do it in `dtype`, float32 is taken; where it cannot do
+    that either, or the model lies elsewhere, the model is left alone.
 
     Args:
         model: with float32 weights; it is changed.
@@ -75,8 +81,9 @@ def pack(model: nn.Module, dtype: torch.dtype = torch.float32) -> nn.Module:
     first = next(model.parameters(), None)
     if first is None or first.device.type != "cpu" or first.dtype != torch.float32:
         return model
-    if can_pack(dtype):
-        _pack(model, dtype)
+    kind = packable(dtype)
+    if kind is not None:
+        _pack(model, kind)
     return model
 
 

@@ -51,6 +51,19 @@ def test_what_a_precision_means_for_the_products(monkeypatch):
         assert [product_type(name) for name in names] == [half, half] + 2 * [torch.float32]
 
 
+@pytest.mark.skipif(not can_pack(), reason="this PyTorch has no packed linear layers")
+def test_where_bfloat16_cannot_be_packed_float32_is(monkeypatch):
+    monkeypatch.setattr(packing, "LEAST", 1)
+    monkeypatch.setattr(packing, "can_pack", lambda dtype: dtype == torch.float32)
+    model = nn.Sequential(nn.Linear(8, 8), nn.GELU())
+    values = torch.randn(3, 8)
+    with torch.no_grad():
+        expected = model(values)
+        packed = pack(model, torch.bfloat16)
+        assert isinstance(packed[0], PackedLinear) and packed[0].dtype == torch.float32
+        assert torch.allclose(packed(values), expected, atol=1e-5)
+
+
 def test_small_and_foreign_models_are_left_alone(monkeypatch):
     model = nn.Sequential(nn.Linear(8, 8), nn.GELU())
     assert isinstance(pack(model)[0], nn.Linear)
