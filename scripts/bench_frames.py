@@ -6,7 +6,7 @@ As training reads them: a random clip is opened, two random frames of it are dec
 The files are in the system's cache after the first round, as they are in training.
 """
 
-import sys
+import argparse
 import time
 from pathlib import Path
 
@@ -14,13 +14,19 @@ import cv2
 import numpy as np
 
 from data_prep.dataset import Dataset, FrameStore
+from data_prep.errors import BadInput, call_script
 
 
 def main() -> None:
     """Print the figures."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("dataset", type=Path, help="folder that `angie prepare` made")
+    parser.add_argument("pairs", type=int, nargs="?", default=2000, help="to read (2000)")
+    given = parser.parse_args()
+    if given.pairs < 1:
+        raise BadInput(f"{given.pairs} pairs: give a number above 0")
     cv2.setNumThreads(1)
-    data = Dataset(Path(sys.argv[1]))
-    pairs = int(sys.argv[2]) if len(sys.argv) > 2 else 2000
+    data, pairs = Dataset(given.dataset), given.pairs
     clips = data.clips()
     random = np.random.default_rng(0)
     times = []
@@ -45,4 +51,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    call_script(main)

@@ -8,9 +8,9 @@ together are all that `angie animate` does before it renders. For each length of
 of the resident memory above the loaded models is told.
 """
 
+import argparse
 import dataclasses
 import os
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -30,11 +30,12 @@ from angie.demo import BUNDLE
 from angie.generator import AngieGenerator
 from angie.gpt import CoSpeechGPT
 from angie.motion import Motion
-from angie.packing import pack, product_type
+from angie.packing import pack, packable, product_type
 from angie.presets import preset
 from angie.refiner import Refiner
 from angie.sampling import Sampling, draw
 from angie.vq import VQMotionExtractor
+from data_prep.errors import BadInput, call_script
 from data_prep.features import SpeechFeatures, speech_features
 from data_prep.rates import FPS, SAMPLE_RATE, tokens_covering
 
@@ -140,11 +141,16 @@ def shares(generator: AngieGenerator, length: int, window: str) -> None:
 
 def main() -> None:
     """Print the figures of lite and paper; a narrow GPT has no large products."""
-    lengths = [int(text) for text in sys.argv[1:]] or [60, 600]
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("seconds", type=int, nargs="*", default=[60, 600], help="of sound (60 600)")
+    lengths = parser.parse_args().seconds
+    if min(lengths) < 1:
+        raise BadInput(f"{min(lengths)} s: give seconds above 0")
     print(f"{torch.get_num_threads()} threads, torch {torch.__version__}")
     for name, precision in (("lite", "auto"), ("paper", "fp32"), ("paper", "auto")):
         generator = generator_of(name)
-        print(f"{name}, large products in {str(product_type(precision))[6:]}")
+        kind = packable(product_type(precision)) or torch.float32
+        print(f"{name}, large products in {str(kind)[6:]}")
         rates(generator, precision)
         for length in lengths:
             for window in ("hop", "slide"):
@@ -153,4 +159,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    call_script(main)

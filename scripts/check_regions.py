@@ -24,6 +24,7 @@ import torch
 
 from angie.bundle import Bundle
 from data_prep.dataset import Clip, Dataset
+from data_prep.errors import BadInput, call_script
 from data_prep.rates import FPS
 from mraa.reconstruction import reconstruct
 from mraa.regions import RegionEstimator
@@ -39,13 +40,21 @@ JOINTS = {
 NAMES = [name for group in JOINTS.values() for name in group]
 
 
-def truths(raw: Path) -> dict[str, np.ndarray]:
-    """Joints (T, J, 2) in pixels of every video, in the order of `NAMES`."""
+def truths(raw: Path, dataset: Dataset) -> dict[str, np.ndarray]:
+    """Joints (T, J, 2) in pixels of every video, in the order of `NAMES`.
+
+    Raises:
+        BadInput: `raw` lacks the truth of a video of the dataset.
+    """
     found = {}
     for path in sorted(raw.rglob("*.truth.npz")):
         with np.load(path, allow_pickle=False) as file:
             names = [str(name) for name in file["joint_names"]]
             found[path.name.split(".")[0]] = file["joints"][:, [names.index(n) for n in NAMES]]
+    for source in sorted({clip.source for clip in dataset.clips()} - set(found)):
+        raise BadInput(
+            f"{raw}: has no {source}.truth.npz; give what `angie phantom` wrote for this dataset"
+        )
     return found
 
 
@@ -104,7 +113,9 @@ def main() -> None:
     given = parser.parse_args()
     dataset, stride = Dataset(given.dataset), given.stride
     unseen = [c for c in dataset.clips("test") if c.source not in given.without.split(",")]
-    joints, renderer = truths(given.raw), Bundle.open(given.bundle).renderer()
+    if stride < 1 or not unseen:
+        raise BadInput("no test frames are left: give a --stride above 0, fewer videos --without")
+    joints, renderer = truths(given.raw, dataset), Bundle.open(given.bundle).renderer()
     train = Frames(dataset, dataset.clips("train"), joints).read(renderer.estimator, stride)
     test = Frames(dataset, unseen, joints).read(renderer.estimator, stride)
     centre = train[1].mean(0)
@@ -130,4 +141,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    call_script(main)

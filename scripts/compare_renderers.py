@@ -23,6 +23,7 @@ from angie.bundle import Bundle
 from angie.presets import override, parse_overrides, preset
 from angie.training import train
 from data_prep.dataset import Dataset
+from data_prep.errors import BadInput, call_script
 from data_prep.output import whole_file
 from mraa.reconstruction import reconstruct
 from mraa.renderer import Renderer, from_pixels, to_pixels
@@ -96,14 +97,20 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=200)
     parser.add_argument("--only", default=",".join(VARIANTS))
     given = parser.parse_intermixed_args()
+    names = given.only.split(",")
+    for name in names:
+        if name not in VARIANTS:
+            raise BadInput(f"--only {name}: there are {', '.join(VARIANTS)}")
     dataset = Dataset(given.dataset)
+    if not dataset.clips("test"):
+        raise BadInput(f"{given.dataset}: has no test clips to compare on")
     common = [s for s in given.settings if not s.startswith("train_renderer.initial=")]
     initial = "".join(s.partition("=")[2] for s in given.settings if s not in common)
     common += [f"train_renderer.steps={given.steps}", "train_renderer.warmup_steps=0"]
     stores = [dataset.frames(clip) for clip in shown_clips(dataset)]
     columns = [[store[0] for store in stores], [store[len(store) // 2] for store in stores]]
     print("| variant | L1 | PSNR | SSIM | perceptual |\n" + "|---" * 5 + "|")
-    for number, name in enumerate(given.only.split(",")):
+    for number, name in enumerate(names):
         settings = [*common, *VARIANTS[name]]
         renderer = train_variant(given.dataset, given.work / name, settings, initial)
         score = reconstruct(renderer, dataset, dataset.clips("test"))
@@ -119,4 +126,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    call_script(main)

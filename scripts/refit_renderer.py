@@ -11,18 +11,28 @@ import argparse
 from pathlib import Path
 
 import torch
+from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from angie.presets import override, parse_overrides, preset
+from data_prep.errors import BadInput, call_script
 from data_prep.output import whole_file
 from mraa.renderer import Renderer, RendererConfig
 
 
 def refit(given: Path, config: RendererConfig) -> tuple[dict[str, Tensor], int]:
-    """Weights for a renderer of `config`, and how many tensors of them are of the file `given`."""
+    """Weights for a renderer of `config`, and how many tensors of them are of the file `given`.
+
+    Raises:
+        BadInput: a file that is missing or no weights.
+    """
+    try:
+        known = load_file(given)
+    except (OSError, SafetensorError) as error:
+        raise BadInput(f"{given}: not the weights of a renderer (safetensors)") from error
     torch.manual_seed(0)
-    weights, known, taken = Renderer(config).state_dict(), load_file(given), 0
+    weights, taken = Renderer(config).state_dict(), 0
     for name, value in weights.items():
         if name in known and known[name].shape == value.shape:
             weights[name] = known[name].to(value.dtype)
@@ -45,4 +55,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    call_script(main)

@@ -5,9 +5,9 @@
 Weights are rounded to half precision (they are computed with in float32), which halves the size.
 """
 
+import argparse
 import dataclasses
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from safetensors.torch import load_file
 
 from angie.bundle import PARTS, UPSTREAM, Bundle, halve
 from angie.demo import BUNDLE, PHOTO, SPEECH
+from data_prep.errors import call_script
 from data_prep.output import whole_folder
 from data_prep.phantom.make import recording, still
 
@@ -52,7 +53,9 @@ def ship_bundle(trained: Bundle, folder: Path) -> None:
 
 def main() -> None:
     """Write the default bundle, photo and recording of the package."""
-    trained = Bundle.open(Path(sys.argv[1]))
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("bundle", type=Path, help="what `angie train` made")
+    trained = Bundle.open(parser.parse_args().bundle)
     BUNDLE.parent.mkdir(exist_ok=True)
     ship_bundle(trained, BUNDLE)
     Image.fromarray(still(PRESENTER, number=VIDEO, seed=SEED)).save(PHOTO, optimize=True)
@@ -65,4 +68,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    call_script(main)

@@ -11,7 +11,7 @@ teacher as in knowledge distillation, used for the default bundle alone; nothing
 reads the truth.
 """
 
-import sys
+import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from torch import Tensor
 
 from angie.presets import override, parse_overrides, preset
 from data_prep.dataset import Dataset
+from data_prep.errors import BadInput, call_script
 from data_prep.output import whole_file
 from data_prep.progress import progress
 from mraa.allocator import keep_memory
@@ -93,6 +94,10 @@ class TaughtFrames:
         self.dataset, self.clips = dataset, dataset.clips("train")
         self.crops = {s["name"]: s["crop"] for s in dataset.manifest["sources"]}
         self.joints = {p.name.split(".")[0]: joints_of(p) for p in raw.rglob("*.truth.npz")}
+        for source in sorted({clip.source for clip in self.clips} - set(self.joints)):
+            raise BadInput(
+                f"{raw}: has no {source}.truth.npz; give what `angie phantom` wrote for the dataset"
+            )
 
     def draw(self, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Two frames (2, 256, 256, 3) uint8 of a clip, targets (2, K, 6) of their regions."""
@@ -202,22 +207,27 @@ def step(loss: Tensor, optimizer: torch.optim.Optimizer) -> None:
 
 def main() -> None:
     """Teach and write the weights of a whole renderer, of which estimator and masks are taught."""
-    raw, dataset, output = (Path(a) for a in sys.argv[1:4])
-    settings = override(preset("lite"), parse_overrides(sys.argv[4:]))
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("raw", type=Path, help="folder that `angie phantom` wrote")
+    parser.add_argument("dataset", type=Path, help="what `angie prepare` made of it")
+    parser.add_argument("output", type=Path, help="the .safetensors to write")
+    parser.add_argument("settings", nargs="*", help="key=value, over the preset lite")
+    given = parser.parse_args()
+    settings = override(preset("lite"), parse_overrides(given.settings))
     if settings.renderer.regions != len(LIMBS):
-        raise SystemExit(f"{len(LIMBS)} regions are taught, not {settings.renderer.regions}")
+        raise BadInput(f"{len(LIMBS)} regions are taught, not {settings.renderer.regions}")
     keep_memory()
     torch.manual_seed(SEED)
     random = np.random.default_rng(SEED)
     renderer = Renderer(settings.renderer).to(memory_format=torch.channels_last)
     if settings.train_renderer.initial:
         load_initial(renderer, Path(settings.train_renderer.initial))
-    frames = TaughtFrames(raw, Dataset(dataset))
+    frames = TaughtFrames(given.raw, Dataset(given.dataset))
     teach_regions(renderer, frames, random)
     teach_masks(renderer, frames, random)
-    with whole_file(output, force=True) as part:
+    with whole_file(given.output, force=True) as part:
         save_file({k: v.contiguous() for k, v in renderer.state_dict().items()}, part)
 
 
 if __name__ == "__main__":
-    main()
+    call_script(main)

@@ -1,0 +1,65 @@
+"""The scripts: each tells what it is for, and what is given wrongly in one line."""
+
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPTS = Path(__file__).parent.parent / "scripts"
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Exit status, standard output and standard error of a script."""
+
+    def call(name, *arguments):
+        monkeypatch.syspath_prepend(str(SCRIPTS))  # as for any script that Python is given
+        monkeypatch.setattr(sys, "argv", [str(SCRIPTS / name), *map(str, arguments)])
+        with pytest.raises(SystemExit) as leave:
+            runpy.run_path(str(SCRIPTS / name), run_name="__main__")
+        return leave.value.code, *capsys.readouterr()
+
+    return call
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in SCRIPTS.glob("*.py")))
+def test_every_script_has_help(run, name):
+    status, out, err = run(name, "--help")
+    assert status == 0 and err == ""
+    assert out.startswith(f"usage: {name}") and len(out.splitlines()) > 4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["bench_frames.py", "{tmp}"], "dataset.json"),
+        (["bench_generation.py", "0"], "above 0"),
+        (["ship_default.py", "{tmp}"], "not a speaker bundle"),
+        (["teach_renderer.py", "{tmp}", "{tmp}", "{tmp}/out"], "20 regions are taught, not 12"),
+        (["refit_renderer.py", "{tmp}/none.safetensors", "{tmp}/out"], "none.safetensors: not the"),
+        (["refit_renderer.py", "{tmp}/text", "{tmp}/out"], "text: not the weights"),
+        (["compare_renderers.py", "{tmp}", "{tmp}/out", "--only", "lap,depe"], "--only depe: "),
+        (["compare_renderers.py", "{tmp}", "{tmp}/out"], "dataset.json"),
+        (["check_regions.py", "{tmp}", "{tmp}", "{tmp}"], "dataset.json"),
+    ],
+)
+def test_bad_input_of_a_script_is_one_line(run, tmp_path, arguments, words):
+    (tmp_path / "text").write_text("no weights")
+    given = [argument.format(tmp=tmp_path) for argument in arguments]
+    if given[0] == "teach_renderer.py":
+        given.append("renderer.regions=12")
+    status, out, err = run(*given)
+    assert status == 2 and out == "" and err.startswith(f"{given[0]}: ")
+    assert words in err and err.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["text"]
+
+
+def test_truth_of_other_videos_is_told(run, dataset, bundle, tmp_path):
+    for name, last in (("check_regions.py", bundle.folder), ("teach_renderer.py", tmp_path / "o")):
+        status, out, err = run(name, tmp_path, dataset.path, last)
+        assert status == 2 and out == "" and err.count("\n") == 1
+        assert ".truth.npz; give what `angie phantom` wrote" in err
+    status, _, err = run("check_regions.py", tmp_path, dataset.path, bundle.folder, "--stride", "0")
+    assert status == 2 and "no test frames are left" in err
+    assert list(tmp_path.iterdir()) == []
