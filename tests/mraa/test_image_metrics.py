@@ -92,3 +92,7 @@ def test_of_many_clips_some_are_spread_over_all():
     clips = [Clip(str(i), "a", "test", "a", 0.0, 100) for i in range(50)]
     assert spread(clips, 5000) == clips and spread(clips[:1], 50) == clips[:1]
     assert [clip.id for clip in spread(clips, 1000)] == [str(i) for i in range(0, 50, 5)]
+    assert [clip.id for clip in spread(clips, 1999)] == [str(i) for i in range(0, 50, 3)]
+    assert spread(clips, 99) == clips[:1] and spread([], 99) == []
+    uneven = [Clip(str(i), "a", "test", "a", 0.0, 100 + 60 * (i % 2)) for i in range(9)]
+    assert [clip.n_frames for clip in spread(uneven, 600)] == [100] * 5
