@@ -17,7 +17,7 @@ import torch
 from angie.bundle import OPTIONAL, STAGE_OF, Bundle
 from angie.clips import MotionClip
 from angie.evaluation.evaluate import evaluate
-from angie.evaluation.networks import EvaluationConfig
+from angie.evaluation.networks import EvaluationConfig, stored_autoencoder
 from angie.evaluation.space import open_space
 from angie.opening import try_out
 from angie.presets import Preset, override
@@ -80,7 +80,8 @@ def ablate(
         The table, as text.
 
     Raises:
-        BadInput: an unknown variant, or a folder that holds something else.
+        BadInput: an unknown variant, an auto-encoder of other regions, or a folder that holds
+            something else.
     """
     unknown = [name for name in variants if name not in VARIANTS]
     if unknown or not variants:
@@ -89,6 +90,9 @@ def ablate(
     source, data = Bundle.open(bundle), Dataset(dataset)
     if source.preset.points:
         raise BadInput(f"{bundle}: the ablations are of regions")
+    source.path_of("renderer")
+    if config is not None and config.fgd is not None:  # told before hours of training
+        stored_autoencoder(config.fgd, source.hash_of("renderer"))
     base = override(source.preset, changes or {})
     base = replace(settings_of(base, "full"), generation=replace(base.generation, refine=True))
     for name in variants:
@@ -99,7 +103,6 @@ def ablate(
         "seed": seed,
         "settings": json.loads(json.dumps(asdict(base))),
     }
-    source.path_of("renderer")
     _begin(output, origin)
     for name in ("full", *variants) if "no_refine" in variants else variants:
         _train(dataset, source, output / name, settings_of(base, name), seed, run)

@@ -17,6 +17,7 @@ from angie.metrics.autoencoder import (
     AutoencoderTraining,
     MotionAutoencoder,
     MotionScale,
+    StoredAutoencoder,
     explained,
     load_autoencoder,
     save_autoencoder,
@@ -81,6 +82,25 @@ class EvaluationConfig:
         return told
 
 
+def stored_autoencoder(path: Path, estimator: str) -> StoredAutoencoder:
+    """The auto-encoder of an earlier report.
+
+    Args:
+        path: its file.
+        estimator: hash of the renderer whose regions it has to be of.
+
+    Raises:
+        BadInput: not readable, or of other regions.
+    """
+    stored = load_autoencoder(path)
+    if stored.estimator != estimator:
+        raise BadInput(
+            f"{path}: trained on regions of another renderer "
+            f"({stored.estimator[:12]}, not {estimator[:12]}); leave --fgd out"
+        )
+    return stored
+
+
 def find_autoencoder(
     space: RegionSpace, folder: Path, number: int, config: EvaluationConfig
 ) -> tuple[MotionAutoencoder | None, MotionScale, dict[str, Any]]:
@@ -96,12 +116,7 @@ def find_autoencoder(
     path = folder / f"fgd-{number}.safetensors"
     training = AutoencoderTraining(most_steps=config.fgd_steps)
     if config.fgd is not None:
-        stored = load_autoencoder(config.fgd)
-        if stored.estimator != space.estimator:
-            raise BadInput(
-                f"{config.fgd}: trained on regions of another renderer "
-                f"({stored.estimator[:12]}, not {space.estimator[:12]}); leave --fgd out"
-            )
+        stored = stored_autoencoder(config.fgd, space.estimator)
         path.write_bytes(Path(config.fgd).read_bytes())
         model, scale, told = stored.model, stored.scale, stored.training
     else:

@@ -1,12 +1,16 @@
 """The ablations: variants trained on one renderer, scored, in a table."""
 
 import json
+import shutil
+import sys
+from functools import partial
 
 import pytest
 import torch
 
 from angie.ablation import VARIANTS, ablate, broken_share, settings_of, table
 from angie.bundle import Bundle
+from angie.cli import main
 from angie.demo import BUNDLE
 from angie.direct import DirectMotion
 from angie.evaluation.networks import EvaluationConfig
@@ -14,13 +18,12 @@ from angie.presets import parse_overrides, preset
 from data_prep.errors import BadInput
 from mraa.run import RunConfig
 
-FEW = parse_overrides(
-    [
-        "train_vq.schedule.most_steps=4",
-        "train_gpt.schedule.most_steps=4",
-        "train_refiner.schedule.most_steps=4",
-    ]
-)
+FEW_SETTINGS = [
+    "train_vq.schedule.most_steps=4",
+    "train_gpt.schedule.most_steps=4",
+    "train_refiner.schedule.most_steps=4",
+]
+FEW = parse_overrides(FEW_SETTINGS)
 SCORING = EvaluationConfig(images=False, videos_shown=0, fgd_steps=5)
 CPU = RunConfig(device="cpu")
 
@@ -77,6 +80,68 @@ def test_a_repeated_run_goes_on_and_another_one_is_refused(made, dataset, bundle
         ablate(dataset.path, bundle.folder, output, variants=["full"], run=CPU)
 
 
+def command(monkeypatch, capsys, *arguments):
+    """Exit status, standard output and standard error of `angie ablate ARGUMENTS`."""
+    monkeypatch.setattr(sys, "argv", ["angie", "ablate", *map(str, arguments)])
+    status = 0
+    try:
+        main()
+    except SystemExit as leave:
+        status = leave.code
+    return status, *capsys.readouterr()
+
+
+def test_the_command_takes_a_stride_of_images_and_a_stored_auto_encoder(
+    made, dataset, bundle, tmp_path, monkeypatch, capsys
+):
+    output, _ = made
+    report = output / "report"
+    stored = shutil.copy(report / "fgd-0.safetensors", tmp_path / "stored.safetensors")
+    before = json.loads((report / "results.json").read_text())
+    strides = []
+
+    def unscored(judge, data, clips, drivers, joints, stride, advance):  # to draw takes a minute
+        strides.append(stride)
+        return {}
+
+    monkeypatch.setattr("angie.evaluation.evaluate.score_pictures", unscored)
+    quick = partial(EvaluationConfig, aed_steps=2)  # no option of the command
+    monkeypatch.setattr("angie.evaluation.networks.EvaluationConfig", quick)
+    status, out, _ = command(
+        monkeypatch, capsys, dataset.path, bundle.folder, *FEW_SETTINGS, "-o", output,
+        *("--variants", "no_quant", "--image-stride", 60, "--fgd", stored),
+    )  # fmt: skip
+    after = json.loads((report / "results.json").read_text())
+    assert status == 0 and (report / "fgd-0.safetensors").read_bytes() == stored.read_bytes()
+    scores = [
+        next(row["scores"] for row in numbers["spaces"][0]["rows"] if row["name"] == "no_quant")
+        for numbers in (before, after)
+    ]
+    assert scores[0]["fgd"] == scores[1]["fgd"]
+    assert strides == [60]
+    assert after["spaces"][0]["images"]["about"].startswith("Every 60th frame")
+    assert out.splitlines()[-2].startswith("| no_quant | ")
+
+
+def test_bad_strides_and_auto_encoders_are_told_before_anything_is_trained(
+    made, dataset, bundle, tmp_path, monkeypatch, capsys
+):
+    stored = made[0] / "report" / "fgd-0.safetensors"
+    text = tmp_path / "text"
+    text.write_text("no auto-encoder")
+    for source, options, words in (
+        (bundle.folder, ["--image-stride", 1], "--image-stride"),
+        (bundle.folder, ["--fgd", tmp_path / "none"], "no such file"),
+        (bundle.folder, ["--fgd", text], "text: is no auto-encoder"),
+        (BUNDLE, ["--fgd", stored], "regions of another renderer"),
+    ):
+        status, out, err = command(
+            monkeypatch, capsys, dataset.path, source, "-o", tmp_path / "out", *options
+        )
+        assert status == 2 and out == "" and words in err and err.count("\n") == 1, err
+    assert [path.name for path in tmp_path.iterdir()] == ["text"]
+
+
 def test_summed_covariances_break_and_factors_do_not(made, dataset):
     output, _ = made
     from angie.evaluation.space import open_space
@@ -93,6 +158,10 @@ def test_summed_covariances_break_and_factors_do_not(made, dataset):
 
 
 def test_bad_requests(dataset, bundle, tmp_path):
+    bare = Bundle.create(tmp_path / "bare", preset("tiny"))
+    with pytest.raises(BadInput, match="renderer"):
+        run(dataset, bare, tmp_path / "out", ["full"])
+    shutil.rmtree(bare.folder)
     with pytest.raises(BadInput, match="there are no_quant"):
         run(dataset, bundle, tmp_path / "out", ["half"])
     (tmp_path / "text").write_text("keep me")
