@@ -40,8 +40,12 @@ class Interrupt(KeyboardInterrupt):
     loaded, makes Python end by the signal, whatever becomes of it.
     """
 
+    came = False
+    """Whether there was one: libraries that it meets while they are loaded fail as they like."""
+
 
 def _interrupt(*_: object) -> None:
+    Interrupt.came = True
     raise Interrupt
 
 
@@ -91,6 +95,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):  # file names may be no text
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
+    Interrupt.came = False
     status, text = _run()
     if text:
         line = f"angie: {' '.join(text.splitlines())}"
@@ -111,6 +116,10 @@ def _run() -> tuple[int, str]:
         place = f"{error.filename}: " if error.filename else ""
         return 2, f"{place}{error.strerror or error}"
     except (KeyboardInterrupt, typer.Abort):  # Typer makes a status of it, but not everywhere
+        status = INTERRUPTED
+    except Exception:
+        if not Interrupt.came:
+            raise
         status = INTERRUPTED
     return status, "interrupted" if status == INTERRUPTED else ""
 
