@@ -76,12 +76,13 @@ done
     --fgd-steps 1000
 [ -f "$work/ablations/table3.md" ] ||
   "${angie[@]}" ablate "$set" "$work/base" -o "$work/ablations" --fgd "$work/report/fgd-0.safetensors" \
-    --seeds 3 --image-stride 150 ${VARIANTS:+--variants "$VARIANTS"} "${settings[@]}" "${short[@]}"
+    --seeds 3 --image-stride 300 ${VARIANTS:+--variants "$VARIANTS"} "${settings[@]}" "${short[@]}"
 own=()
 for name in ${SPEAKERS-adam bella carl dora}; do
   copied "$name"
   [ -f "$work/$name/vq.safetensors" ] ||
-    "${angie[@]}" train "$set" -o "$work/$name" --stage motion --speaker "$name"
+    "${angie[@]}" train "$set" -o "$work/$name" --stage motion \
+      --speaker "$name" gpt.joint=false
   learnt "$name" 0 "${settings[@]}" gpt.joint=false "${long[@]}"
   own+=("$work/$name")
 done
