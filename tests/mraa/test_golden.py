@@ -68,7 +68,8 @@ def test_prediction_with_moving_background(networks, regions, io):
     close(flow.flow, io["out.optical_flow"])
     close(flow.occlusion, io["out.occlusion_map"])
     close(prediction, io["out.prediction"])
-    field = resize_flow(flow.flow, 128, 128, align_corners=False)
+    # at the reference's own flow: an edge in the picture makes 1e-4 of a rounding error of 2e-6
+    field = resize_flow(io["out.optical_flow"], 128, 128, align_corners=False)
     close(warp(io["in.source"], field, align_corners=False), io["out.deformed"])
 
 
