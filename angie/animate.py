@@ -12,6 +12,7 @@ from angie import __version__
 from angie.bundle import Bundle
 from angie.motion import Motion, encode_cholesky
 from angie.statistics import MotionStatistics
+from angie.style import check_style
 from angie.subject import check_look, open_subject
 from data_prep.features import speech_features
 from data_prep.output import check_apart, whole_file
@@ -66,6 +67,7 @@ def animate(
     person: str | None = None,
     scale_motion: str = "none",
     greedy: bool = False,
+    style: str | None = None,
     precision: str = "auto",
     size: str | None = None,
     full_frame: bool = False,
@@ -85,8 +87,10 @@ def animate(
         person: "left", "right" or "largest" where the photo shows several people; None
             refuses such photos.
         scale_motion: "hull" scales the gestures by the size of the person (spanned by the
-            regions) against the training speakers', "none" does not.
+            regions) against the training speakers', or that of `style`, "none" does not.
         greedy: always the likeliest gesture; every seed then gives the same video.
+        style: a training speaker of a joint model, whose way of gesturing is taken; the pose to
+            begin with and to return to stays the photo's. None gestures like anyone.
         precision: of the renderer's convolutions, as `mraa.session.RenderSession`, and of the
             GPT, as `Bundle.generator`.
         size: "256", "512", "1024" or "photo": pixels of the video's side; above 256 the
@@ -101,6 +105,7 @@ def animate(
     """
     check_look(precision, device, size, full_frame)
     check_apart(output, (photo_path, sound_path))
+    check_style(bundle, style)
     with whole_file(output, force=force) as part:
         subject = open_subject(
             photo_path,
@@ -121,10 +126,10 @@ def animate(
         pose = source_pose(subject.renderer, subject.picture)
         speech = speech_features(samples)
         del samples  # long recordings leave their memory to the renderer
-        motion = generator.generate(speech, pose, frames, seed)
+        motion = generator.generate(speech, pose, frames, seed, style=style)
         del speech
         if scale_motion == "hull":
-            motion = scale_displacement(motion, pose, generator.statistics)
+            motion = scale_displacement(motion, pose, generator.statistics, style)
         keep_memory()  # from here on: what came before has given its memory back
         shown = subject.shown
         video = VideoWriter(
@@ -171,12 +176,16 @@ def source_pose(renderer: Renderer, picture: torch.Tensor) -> Motion:
     return Motion(regions.shift.cpu(), encode_cholesky(regions.covariance).cpu())
 
 
-def scale_displacement(motion: Motion, pose: Motion, statistics: MotionStatistics) -> Motion:
-    """Scale shifts away from `pose` by the person's size against the mean training speaker's.
+def scale_displacement(
+    motion: Motion, pose: Motion, statistics: MotionStatistics, style: str | None = None
+) -> Motion:
+    """Scale shifts away from `pose` by the person's size against a training speaker's.
 
-    The size is the square root of the area that the regions span (MRAA's relative mode).
+    The size is the square root of the area that the regions span (MRAA's relative mode). The
+    training speaker is the one whose style the motion has, or without a style the mean of all.
     """
-    rest = Motion.from_vector(statistics.rest.mean(dim=0, keepdim=True))
+    mean = statistics.rest.mean(dim=0)
+    rest = Motion.from_vector((mean if style is None else statistics.rest_of(style))[None])
     scale = hull_scale(pose.shift[0], rest.shift[0])
     return Motion(pose.shift + scale * (motion.shift - pose.shift), motion.cholesky)
 

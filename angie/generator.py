@@ -147,6 +147,7 @@ class AngieGenerator:
         seed: int = 0,
         speaker: str | None = None,
         start_codes: Tensor | None = None,
+        style: str | None = None,
     ) -> Motion:
         """Gesture to speech; see `GestureGenerator.generate`.
 
@@ -155,14 +156,16 @@ class AngieGenerator:
             start: pose of the photo, one frame.
             frames: number of frames T to make.
             seed: of the sampling; the same seed gives the same motion on one device.
-            speaker: a speaker of the training set, whose rest pose long motion returns to; None
-                takes the start pose for rest.
+            speaker: a speaker of the training set who gestures: in their style, and in long
+                motion around their rest pose; None takes the start pose for rest.
             start_codes: (2, P) codes to begin with, such as those of a seed motion; None begins
                 still.
+            style: a speaker of the training set whose style alone is taken; None takes that of
+                `speaker`. Joint models alone tell styles apart.
 
         Raises:
             ValueError: too few features for `frames`, or a start pose of other regions.
-            BadInput: an unknown speaker.
+            BadInput: an unknown speaker or style.
         """
         tokens = tokens_covering(frames)
         if frames < 1 or len(speech.mfcc) < frames or len(speech.onset) < tokens:
@@ -175,7 +178,8 @@ class AngieGenerator:
         first = start.vector()[0].detach().cpu().float()
         onset = torch.as_tensor(speech.onset[:tokens])
         mfcc = torch.as_tensor(speech.mfcc[:frames])
-        who = None if speaker is None else self.statistics.place_of(speaker)
+        like = speaker if style is None else style
+        who = None if like is None else self.statistics.place_of(like)
         if isinstance(self.vq, DirectMotion):
             delta = self.vq.predict(self.statistics.standard_onset(onset), who)
         else:

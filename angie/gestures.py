@@ -10,6 +10,7 @@ from angie.bundle import Bundle
 from angie.keypoints import read_points, resample
 from angie.motion import Motion, read_motion
 from angie.statistics import MotionStatistics
+from angie.style import check_style
 from data_prep.errors import BadInput
 from data_prep.features import speech_features
 from data_prep.output import check_apart, whole_file
@@ -52,6 +53,7 @@ def gestures(
     *,
     start: Path | None = None,
     speaker: str | None = None,
+    style: str | None = None,
     fps: float = FPS,
     seed: int = 0,
     greedy: bool = False,
@@ -64,8 +66,12 @@ def gestures(
         sound_path: any recording.
         output: .npz: `points` (T, J, 2) and `fps` of joints; of regions `shift` (T, K, 2),
             `cholesky` (T, K, 3) and `fps`. A name that ends in .npy gets the joints alone.
-        start: motion whose first frame is the start pose; None is the rest pose.
-        speaker: a speaker of the training set.
+        start: motion whose first frame is the start pose; None is the rest pose of `speaker`,
+            or of the first speaker.
+        speaker: a speaker of the training set, who gestures: in their style, and in long motion
+            around their rest pose.
+        style: a training speaker of a joint model, whose style alone is taken, whoever gestures;
+            None takes that of `speaker`, or of anyone.
         fps: frames a second wanted; motion of regions has 25.
         seed: of the gestures.
         greedy: always the likeliest gesture.
@@ -83,6 +89,7 @@ def gestures(
         raise BadInput(f"{output}: must end in .npz{' or .npy' if points else ''}")
     if fps != FPS and not points:
         raise BadInput(f"--fps {fps:g}: motion of regions has {FPS} frames a second")
+    check_style(bundle, style)
     generator = bundle.generator()
     method = "greedy" if greedy else "topk"
     sampling = replace(generator.config.sampling, method=method)
@@ -91,7 +98,8 @@ def gestures(
         samples = read_sound(sound_path)
         pose = start_pose(generator.statistics, speaker, start)
         frames = frames_covering(len(samples))
-        motion = generator.generate(speech_features(samples), pose, frames, seed, speaker)
+        speech = speech_features(samples)
+        motion = generator.generate(speech, pose, frames, seed, speaker, style=style)
         arrays: dict[str, Any] = {"fps": np.array(float(fps))}
         if points:
             made = resample(motion.shift.numpy().astype(np.float64), FPS, fps)

@@ -101,8 +101,9 @@ class MotionStatistics:
         if speaker in self.speakers:
             return self.speakers.index(speaker)
         near = difflib.get_close_matches(speaker, self.speakers, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(self.speakers)}"
-        raise BadInput(f"{speaker}: not a speaker of this model; {hint}")
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        known = ", ".join(self.speakers)
+        raise BadInput(f"{speaker}: not a speaker of this model (known: {known}){hint}")
 
     def rest_of(self, speaker: str) -> Tensor:
         """Rest pose (5K,) of a speaker of the training set.

@@ -3,6 +3,7 @@
 from typing import Any
 
 from angie.bundle import OPTIONAL, STAGE_OF, Bundle
+from angie.style import styles
 from data_prep.errors import BadInput
 
 
@@ -18,9 +19,18 @@ def describe(bundle: Bundle) -> str:
         f"preset      {manifest['preset']}: {what}, {size}at {manifest['fps']} fps",
         f"speakers    {', '.join(manifest['speakers']) or 'none yet'}",
     ]
+    if bundle.preset.gpt.joint:
+        lines.append(f"styles      {_styles(bundle)}")
     for part in bundle.parts:
         lines.append(f"{part:<12}{_state(bundle, part)}")
     return "\n".join(lines)
+
+
+def _styles(bundle: Bundle) -> str:
+    """The training speakers that a joint model tells apart, and how to ask for one."""
+    if not bundle.has("statistics"):
+        return "unknown; angie train --stage motion tells the speakers"
+    return f"{', '.join(styles(bundle))} (--style NAME)"
 
 
 def _state(bundle: Bundle, part: str) -> str:

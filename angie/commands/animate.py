@@ -14,6 +14,7 @@ from angie.commands.options import (
     Precision,
     Seed,
     Size,
+    Style,
     device_of,
     square_of,
     want_file,
@@ -48,6 +49,7 @@ def animate(
     greedy: Annotated[
         bool, typer.Option("--greedy", help="Always the likeliest gesture, whatever the seed.")
     ] = False,
+    style: Style = None,
     precision: Precision = "auto",
     size: Size = None,
     full_frame: FullFrame = False,
@@ -102,8 +104,10 @@ def animate(
         want_file(drive, "driving video")
         from angie.drive import drive as from_video
 
-        if greedy or scale_motion != "none":
-            raise BadInput("--greedy and --scale-motion are for gestures to sound, not for --drive")
+        if greedy or scale_motion != "none" or style is not None:
+            raise BadInput(
+                "--greedy, --style and --scale-motion are for gestures to sound, not for --drive"
+            )
         corner = None if drive_crop is None else square_of(drive_crop, "--drive-crop")
         result = from_video(
             photo,
@@ -132,6 +136,7 @@ def animate(
             seed=seed,
             scale_motion=scale_motion,
             greedy=greedy,
+            style=style,
             crop=square(),
             **look,
         )

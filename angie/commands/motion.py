@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from angie.commands.options import Device, Force, Seed, device_of, want_file
+from angie.commands.options import Device, Force, Seed, Style, device_of, want_file
 from data_prep.errors import BadInput
 from data_prep.rates import FPS
 
@@ -18,8 +18,14 @@ def gestures(
         Path | None, typer.Option(help="Motion to begin with the first frame of.")
     ] = None,
     speaker: Annotated[
-        str | None, typer.Option(help="A speaker of the training set, by name.")
+        str | None,
+        typer.Option(
+            help="The training speaker who gestures, the first one if none is named: their rest "
+            "pose to begin with, unless --start gives another; if named, also to return to, and "
+            "in joint models their style."
+        ),
     ] = None,
+    style: Style = None,
     fps: Annotated[float, typer.Option(min=1, max=1000, help="Frames a second of joints.")] = FPS,
     seed: Seed = 0,
     greedy: Annotated[
@@ -43,6 +49,7 @@ def gestures(
         output,
         start=start,
         speaker=speaker,
+        style=style,
         fps=fps,
         seed=seed,
         greedy=greedy,

@@ -17,6 +17,13 @@ Device = Annotated[str, typer.Option(help="auto, cpu, cuda or mps.")]
 Precision = Annotated[
     str, typer.Option(help="Of renderer and GPT: auto (the fastest there is), fp32, bf16, fp16.")
 ]
+Style = Annotated[
+    str | None,
+    typer.Option(
+        help="Take this training speaker's way of gesturing, but not their rest pose; for joint "
+        "models, whose speakers angie info lists."
+    ),
+]
 Size = Annotated[
     str | None,
     typer.Option(

@@ -1,11 +1,17 @@
-"""Small synthetic clips whose motion follows their sound, for the tests of the motion stages."""
+"""Small synthetic clips whose motion follows their sound, and a bundle that is joint."""
+
+import dataclasses
+import shutil
 
 import numpy as np
 import pytest
 import torch
 
+from angie.bundle import Bundle
 from angie.clips import MotionClip
+from angie.gpt import CoSpeechGPT
 from angie.motion import Motion
+from angie.presets import override
 from angie.statistics import MotionStatistics, measure
 from data_prep.features import SpeechFeatures
 
@@ -66,3 +72,19 @@ def clips(make_clip) -> list[MotionClip]:
 def statistics(clips) -> MotionStatistics:
     """The statistics of `clips`."""
     return measure(clips)
+
+
+@pytest.fixture(scope="session")
+def joint_bundle(bundle, tmp_path_factory) -> Bundle:
+    """The tiny bundle made joint: the trained GPT with strong random embeddings of its speakers."""
+    folder = tmp_path_factory.mktemp("joint") / "bundle"
+    shutil.copytree(bundle.folder, folder, ignore=shutil.ignore_patterns("train"))
+    made = Bundle.open(folder)
+    made.preset = override(made.preset, {"gpt": {"joint": True}})
+    made.manifest["config"] = dataclasses.asdict(made.preset)
+    torch.manual_seed(0)
+    gpt = CoSpeechGPT(made.preset.gpt, len(made.statistics().speakers))
+    torch.nn.init.normal_(gpt.speaker.weight, std=2.0)
+    gpt.load_state_dict({**gpt.state_dict(), **bundle.gpt().state_dict()})
+    made.add("gpt", gpt.state_dict(), {})
+    return made

@@ -125,6 +125,45 @@ def test_a_known_speaker_returns_to_the_rest_pose(generator, speech, start):
         bounded.generate(speech, start, 275, speaker="adah")
 
 
+@pytest.fixture(scope="module")
+def joint(generator) -> AngieGenerator:
+    """The generator with embeddings of ada, bob and anyone."""
+    torch.manual_seed(0)
+    gpt = CoSpeechGPT(dataclasses.replace(generator.gpt.config, joint=True), speakers=2)
+    torch.nn.init.normal_(gpt.speaker.weight, std=2.0)
+    gpt.load_state_dict({**gpt.state_dict(), **generator.gpt.state_dict()})
+    return dataclasses.replace(generator, gpt=gpt)
+
+
+def test_a_style_changes_the_motion_of_a_joint_model(joint, generator, speech, start):
+    made = [joint.generate(speech, start, 96, style=name).vector() for name in ("ada", "bob", None)]
+    for one, other in ((0, 1), (0, 2), (1, 2)):
+        assert not torch.allclose(made[one][1:], made[other][1:])
+    assert all(torch.equal(motion[0], start.vector()[0]) for motion in made)
+    assert torch.equal(made[2], joint.generate(speech, start, 96).vector())
+    alone = generator.generate(speech, start, 96, style="bob").vector()
+    assert torch.equal(alone, generator.generate(speech, start, 96).vector())
+    with pytest.raises(BadInput, match=r"known: ada, bob\); did you mean 'bob'"):
+        joint.generate(speech, start, 96, style="bobb")
+
+
+def test_a_style_keeps_a_stranger_where_the_photo_has_them(joint, statistics, speech, start):
+    bounded = configured(joint, bounding="on", refine=False)
+    apart = Motion(start.shift + 3.0, start.cholesky)  # far from where ada was
+    styled = bounded.generate(speech, apart, 275, style="ada").shift - apart.shift
+    low, high = (ends[:8].unflatten(-1, (4, 2)) for ends in (statistics.low, statistics.high))
+    assert (styled >= low - 1e-4).all() and (styled <= high + 1e-4).all()
+    # ada herself is drawn back to her own place, three units away
+    whole = bounded.generate(speech, apart, 275, speaker="ada").shift - apart.shift
+    assert (whole[-1] < -1).all()
+    # the style is ada's: from her own pose both sum up the same codes
+    codes = [joint._codes(torch.as_tensor(speech.onset), 0, None, who) for who in (0, 1)]
+    assert not torch.equal(*codes)
+    plain = configured(joint, bounding="off")
+    one = plain.generate(speech, start, 200, style="ada", speaker="bob").vector()
+    assert torch.equal(one, plain.generate(speech, start, 200, speaker="ada").vector())
+
+
 def test_short_motion_is_bounded_only_when_asked(generator, speech, start):
     plain = generator.generate(speech, start, 250).vector()
     auto = configured(generator, bounding="auto")
