@@ -37,6 +37,9 @@ INDEX = "clips.csv"
 COLUMNS = ("clip", "speaker", "split", "fps")
 SPLITS = ("train", "test")
 
+MOST = 1e15
+"""Largest coordinate: training is in float32, where the squares of larger ones overflow."""
+
 
 @dataclass(frozen=True)
 class KeypointClip:
@@ -88,7 +91,7 @@ def read_points(path: Path) -> NDArray:
     """Joints (T, J, 2) float64 of an .npy file, or of `points` in an .npz file.
 
     Raises:
-        BadInput: unreadable, of another shape, or with numbers that are not finite.
+        BadInput: unreadable, of another shape, or with numbers that are not finite in float32.
     """
     try:
         loaded = np.load(path, allow_pickle=False)
@@ -101,7 +104,10 @@ def read_points(path: Path) -> NDArray:
         raise BadInput(f"{path}: holds {points.shape}, wanted are joints (T, J, 2)")
     if points.dtype.kind not in "fiu" or not np.isfinite(points).all():
         raise BadInput(f"{path}: every joint must be a finite number; fill gaps first")
-    return points.astype(np.float64)
+    points = points.astype(np.float64)
+    if np.abs(points).max() > MOST:
+        raise BadInput(f"{path}: every joint must be a finite number in float32, up to {MOST:g}")
+    return points
 
 
 class KeypointDataset:
@@ -127,7 +133,7 @@ class KeypointDataset:
         try:
             with path.open(newline="") as file:
                 reader = csv.DictReader(file)
-                if set(reader.fieldnames or ()) < set(COLUMNS):
+                if not set(COLUMNS) <= set(reader.fieldnames or ()):
                     raise BadInput(f"{path}: needs the columns {', '.join(COLUMNS)}")
                 return list(reader)
         except (OSError, UnicodeDecodeError, csv.Error) as error:

@@ -166,11 +166,19 @@ def test_a_bad_index_is_told(data, tmp_path, row, words):
         KeypointDataset(folder, tmp_path / "cache")
 
 
+@pytest.mark.parametrize("header", ["clip,speaker,splitt,fps", "clip,speaker", ""])
+def test_a_column_that_is_missing_is_told(data, tmp_path, header):
+    (tmp_path / "clips.csv").write_text(f"{header}\nc1,ada,train,15\n")
+    with pytest.raises(BadInput, match=r"clips\.csv: needs the columns clip, speaker, split, fps"):
+        KeypointDataset(tmp_path, tmp_path / "cache")
+
+
 def test_bad_arrays_are_told(data, tmp_path):
     path = tmp_path / "a.npy"
     for array, words in [
         (np.zeros((5, 3)), r"\(5, 3\)"),
         (np.full((5, 3, 2), np.nan), "finite"),
+        (np.full((5, 3, 2), 1e300), r"a\.npy: .*finite number in float32"),
         (np.zeros((5, 3, 2), complex), "finite"),
         (np.zeros((0, 3, 2)), "wanted are joints"),
     ]:
@@ -192,13 +200,16 @@ def test_bad_requests_leave_nothing_behind(model, data, tmp_path, capsys):
     out, sound = tmp_path / "out.npz", data / "audio" / "c11.wav"
     other = tmp_path / "other.npy"
     np.save(other, np.zeros((4, 5, 2)))
+    huge = tmp_path / "huge.npy"
+    np.save(huge, np.full((4, 3, 2), 1e300))
     for arguments, words in [
         (["--speaker", "adda"], "did you mean 'ada'"),
         (["--start", other], "has 5 points, the model 3"),
+        (["--start", huge], "huge.npy: every joint must be a finite number in float32"),
         (["--start", tmp_path / "none.npy"], "no such file"),
     ]:
         status, _, error = call(capsys, "gestures", model, sound, "-o", out, *arguments)
         assert status == 2 and words in error and error.count("\n") == 1
     status, _, error = call(capsys, "gestures", model, sound, "-o", tmp_path / "out.txt")
     assert status == 2 and "must end in" in error
-    assert [path.name for path in tmp_path.iterdir()] == ["other.npy"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["huge.npy", "other.npy"]
