@@ -5,9 +5,6 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-EDGE = 1e-6
-"""Weight of what does not count, which decides where there is nothing else."""
-
 
 def window_starts(length: int, window: int, hop: int) -> list[int]:
     """First positions of windows that cover `length`; the last one ends exactly there.
@@ -34,9 +31,9 @@ def cross_fade(
     """Compute windows in groups and blend them with linear ramps.
 
     Each window is weighted by a triangle that is largest in its middle, or, with `fade`, by one
-    that is cut off so that a window becomes the next within that many frames. The weights of a
-    frame sum to one, so windows that agree are reproduced exactly. Memory beside the result does
-    not grow with the length.
+    everywhere but in the middle of an overlap, where a window becomes the next within that many
+    frames. Weights are divided by their sum, so windows that agree are reproduced exactly. Memory
+    beside the result does not grow with the length.
 
     Args:
         length: frames of the whole sequence, T.
@@ -52,18 +49,28 @@ def cross_fade(
     window = min(window, length)
     starts = window_starts(length, window, min(hop, window))
     place = torch.arange(window, dtype=torch.float32)
-    ramp = torch.minimum(place + 1, window - place)
-    if fade is not None:
-        before = (window - min(hop, window) - fade) / 2  # frames at the edge that do not count
-        ramp = ((ramp - before) / (fade + 1)).clamp(EDGE, 1)
+    triangle = torch.minimum(place + 1, window - place)
     total, weight = None, torch.zeros(length, 1)
     for begin in range(0, len(starts), at_once):
         group = starts[begin : begin + at_once]
         values = compute(group).float().cpu()
         if total is None:
             total = torch.zeros(length, values.shape[-1])
-        for first, value in zip(group, values, strict=True):
+        for index, (first, value) in enumerate(zip(group, values, strict=True), begin):
+            ramp = triangle if fade is None else _faded(starts, index, place, fade)
             total[first : first + window] += value * ramp[:, None]
             weight[first : first + window] += ramp[:, None]
     assert total is not None  # window_starts refuses an empty sequence
     return total / weight
+
+
+def _faded(starts: list[int], index: int, place: Tensor, fade: int) -> Tensor:
+    """Weights of a window at its places (window,), faded in the middles of its overlaps."""
+    window, weight = len(place), torch.ones(len(place))
+    if index > 0:
+        middle = (starts[index - 1] - starts[index] + window) / 2
+        weight = torch.minimum(weight, (place - middle + fade / 2 + 1) / (fade + 1))
+    if index + 1 < len(starts):
+        middle = (starts[index + 1] - starts[index] + window) / 2
+        weight = torch.minimum(weight, (middle - place + fade / 2) / (fade + 1))
+    return weight.clamp_min(0)

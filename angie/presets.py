@@ -289,7 +289,7 @@ def _convert(value: Any, hint: Any, name: str) -> Any:
             return None
         return _convert(value, arguments[0], name)
     elif hint is str and isinstance(value, bool):
-        return "on" if value else "off"  # what YAML took it from
+        return "on" if value else "off"  # YAML reads these words, too, as truth values
     elif hint is float and _is_number(value) and math.isfinite(float(value)):
         return float(value)
     elif (

@@ -58,6 +58,7 @@ from angie.statistics import MotionStatistics
 from angie.train_gpt import code_windows
 from angie.windows import WINDOW, MotionWindows
 from data_prep.dataset import Dataset
+from data_prep.errors import BadInput, call_script
 from data_prep.features import SpeechFeatures, speech_features
 from data_prep.rates import FPS, FRAMES_PER_TOKEN, SAMPLE_RATE, SAMPLES_PER_FRAME
 from data_prep.synchrony import steps
@@ -119,7 +120,9 @@ def consistency_of(
         length = motion.frames / FPS
         sounds.append(np.sort((onsets_within(clip, motion.frames) + shift) % length))
     score = consistency([points(m)[:, active] for m in motions], sounds, usual, FPS)
-    return float("nan") if score.value is None else score.value
+    if score.value is None:
+        raise BadInput(f"beat consistency: {score.reason}")
+    return score.value
 
 
 def beats(
@@ -342,4 +345,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    call_script(main)

@@ -5,7 +5,7 @@
 # RENDERER is a bundle with a trained renderer (lite, 20 regions); its regions are used as they are.
 # WORK/raw and WORK/set are made unless they are there (links will do). ANGIE and PYTHON name the
 # commands where the package is not installed, such as ANGIE="python -m angie".
-#   SEEDS="0 1 2"     training seeds of the joint model, "longest" below; of one speaker "long"
+#   SEEDS="0 1 2"     training seeds of the joint model
 #   SPEAKERS="adam bella carl dora"     models of one speaker
 #   VARIANTS=full,...  rows of the ablations
 set -euo pipefail
@@ -24,15 +24,15 @@ settings=(
   train_refiner.schedule.rate=2e-3 "train_refiner.schedule.milestones=[80]"
   generation.window.move=hop generation.decode=auto generation.sampling.calm=true
 )
-longest=(
+joint=(
   train_vq.schedule.most_steps=2500 train_gpt.schedule.most_steps=800
   train_refiner.schedule.most_steps=1500
 )
-long=(
+single=(
   train_vq.schedule.most_steps=2500 train_gpt.schedule.most_steps=300
   train_refiner.schedule.most_steps=300
 )
-short=(
+variant=(
   train_vq.schedule.most_steps=300 train_gpt.schedule.most_steps=250
   train_refiner.schedule.most_steps=100
 )
@@ -51,7 +51,9 @@ learnt() { # BUNDLE SEED SETTINGS...: its motion stages
   done
 }
 
-[ -d "$work/base" ] || "${python[@]}" - "$renderer" "$work/base" <<'END'
+if [ ! -d "$work/base" ]; then
+  rm -rf "$work/base.part"
+  "${python[@]}" - "$renderer" "$work/base.part" <<'END'
 import sys
 from pathlib import Path
 
@@ -61,12 +63,14 @@ from angie.bundle import Bundle
 source = Bundle.open(Path(sys.argv[1]))
 copy_renderer(source, Path(sys.argv[2]), source.preset)
 END
+  mv "$work/base.part" "$work/base"
+fi
 [ -f "$work/base/statistics.safetensors" ] ||
   "${angie[@]}" train "$set" -o "$work/base" --stage motion
 bundles=()
 for seed in ${SEEDS-0 1 2}; do
   copied "joint-$seed"
-  learnt "joint-$seed" "$seed" "${settings[@]}" "${longest[@]}"
+  learnt "joint-$seed" "$seed" "${settings[@]}" "${joint[@]}"
   bundles+=("$work/joint-$seed")
 done
 [ -f "$work/check.json" ] ||
@@ -76,14 +80,14 @@ done
     --fgd-steps 1000
 [ -f "$work/ablations/table3.md" ] ||
   "${angie[@]}" ablate "$set" "$work/base" -o "$work/ablations" --fgd "$work/report/fgd-0.safetensors" \
-    --seeds 3 --image-stride 300 ${VARIANTS:+--variants "$VARIANTS"} "${settings[@]}" "${short[@]}"
+    --seeds 3 --image-stride 300 ${VARIANTS:+--variants "$VARIANTS"} "${settings[@]}" "${variant[@]}"
 own=()
 for name in ${SPEAKERS-adam bella carl dora}; do
   copied "$name"
   [ -f "$work/$name/vq.safetensors" ] ||
     "${angie[@]}" train "$set" -o "$work/$name" --stage motion \
       --speaker "$name" gpt.joint=false
-  learnt "$name" 0 "${settings[@]}" gpt.joint=false "${long[@]}"
+  learnt "$name" 0 "${settings[@]}" gpt.joint=false "${single[@]}"
   own+=("$work/$name")
 done
 if [ "${#own[@]}" -gt 0 ] && [ ! -f "$work/check-own.json" ]; then

@@ -29,7 +29,7 @@ from angie.train_refiner import (
     pattern_windows,
     train_refiner,
 )
-from angie.train_vq import VQTraining, train_vq
+from angie.train_vq import NORMS, VQTraining, train_vq
 from angie.vq import VQConfig, VQMotionExtractor
 from angie.windows import MotionWindows
 from mraa.run import RunConfig
@@ -129,6 +129,8 @@ def test_after_a_warmup_the_codebooks_begin_with_clusters(vq, windows, tmp_path,
     plain, absolute, square = (path.abs().mean() for path in paths)
     assert absolute < plain and square < plain  # what `summed` weighs
     assert not torch.equal(paths[1], paths[2])
+    weighed = {name: norm(torch.tensor([3.0, -1.0])).tolist() for name, norm in NORMS.items()}
+    assert weighed == {"absolute": [3, 1], "square": [9, 1]}
     with pytest.raises(ValueError, match="summed_norm is one of absolute, square"):
         VQTraining(summed_norm="cube")
 

@@ -44,3 +44,18 @@ def test_a_short_fade_is_in_the_middle_of_the_overlap():
     blended = cross_fade(12, 8, 4, compute, fade=2)[:, 0]
     assert torch.allclose(blended[4:8], torch.tensor([0, 1 / 3, 2 / 3, 1]), atol=1e-5)
     assert (blended[:4] == 0).all() and (blended[8:] == 1).all()
+
+
+@pytest.mark.parametrize("length", [192, 193, 200, 239, 241, 264])
+def test_the_last_window_fades_as_shortly_however_far_it_reaches_back(length):
+    places = {at: number for number, at in enumerate(window_starts(length, 96, 48))}
+
+    def compute(starts):
+        return torch.stack([torch.full((96, 1), float(places[at])) for at in starts])
+
+    blended = cross_fade(length, 96, 48, compute, fade=16)[:, 0]
+    assert (blended.diff() >= -1e-6).all() and blended[-1] == len(places) - 1
+    between = (blended != blended.round()).double()
+    assert between.sum() <= 17 * (len(places) - 1)
+    longest = max(len(run) for run in "".join("x" if b else " " for b in between).split())
+    assert longest <= 17
