@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from data_prep.errors import BadInput
@@ -222,20 +223,38 @@ def read_motion(path: Path, estimator: str | None = None) -> Motion:
 
     Args:
         path: a file that `write_motion` wrote.
-        estimator: hash of the region estimator that must have measured it; None accepts any.
+        estimator: hash of the region estimator that must have measured it; None accepts any,
+            and files that do not say.
 
     Raises:
         BadInput: missing, unreadable, or measured by another region estimator.
     """
+    wanted = "run the motion stage"
+    if estimator is None:
+        wanted = "wanted is an .npz of regions, with `shift` (T, K, 2) and `cholesky` (T, K, 3)"
     try:
-        with np.load(path, allow_pickle=False) as file:
-            shift, cholesky = file["shift"], file["cholesky"]
-            origin = str(file["estimator"])
+        loaded = np.load(path, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            raise ValueError("a single array")
+        with loaded as file:
+            motion = _checked(file["shift"], file["cholesky"])
+            origin = "" if estimator is None else str(file["estimator"])
     except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise BadInput(f"{path}: not a motion file ({error}); run the motion stage") from error
+        raise BadInput(f"{path}: not a motion file ({error}); {wanted}") from error
     if estimator is not None and origin != estimator:
         raise BadInput(
             f"{path}: measured by another region estimator ({origin[:12] or 'unknown'}, "
             f"not {estimator[:12]}); run the motion stage again"
         )
-    return Motion(torch.from_numpy(shift), torch.from_numpy(cholesky))
+    return motion
+
+
+def _checked(shift: NDArray, cholesky: NDArray) -> Motion:
+    """Motion of arrays of a file; ValueError where they are none."""
+    if shift.ndim != 3 or not shift.size or cholesky.shape != (*shift.shape[:2], 3):
+        raise ValueError(f"shapes {shift.shape} and {cholesky.shape}")
+    with np.errstate(over="ignore"):  # what overflows is told below
+        arrays = [array.astype(np.float32) for array in (shift, cholesky)]
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise ValueError("numbers that are not finite in float32")
+    return Motion(*map(torch.from_numpy, arrays))

@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 import torch
 
@@ -108,3 +109,32 @@ def test_a_motion_file_reads_back_and_knows_its_estimator(tmp_path):
         read_motion(tmp_path / "a.npz", "def")
     with pytest.raises(BadInput, match=r"b\.npz"):
         read_motion(tmp_path / "b.npz")
+
+
+def test_generated_regions_are_read_where_any_estimator_will_do(tmp_path):
+    motion = Motion(torch.randn(5, 3, 2), torch.randn(5, 3, 3))
+    path = tmp_path / "a.npz"
+    np.savez(path, shift=motion.shift, cholesky=motion.cholesky, fps=np.array(25.0))
+    assert torch.equal(read_motion(path).vector(), motion.vector())
+    with pytest.raises(BadInput, match="run the motion stage"):
+        read_motion(path, "abc")
+
+
+@pytest.mark.parametrize(
+    ("arrays", "words"),
+    [
+        ({"points": np.zeros((5, 3, 2))}, "shift is not a file"),
+        ({"shift": np.zeros((5, 3, 2)), "cholesky": np.zeros((5, 2, 3))}, r"\(5, 2, 3\)"),
+        ({"shift": np.full((5, 3, 2), 1e300), "cholesky": np.ones((5, 3, 3))}, "not finite"),
+    ],
+)
+def test_other_arrays_are_no_motion_of_regions(tmp_path, arrays, words):
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(BadInput, match=rf"a\.npz: .*{words}.*wanted is an \.npz"):
+        read_motion(tmp_path / "a.npz")
+
+
+def test_joints_are_no_motion_of_regions(tmp_path):
+    np.save(tmp_path / "a.npy", np.zeros((5, 3, 2)))
+    with pytest.raises(BadInput, match=r"a\.npy: .*a single array.*wanted is an \.npz"):
+        read_motion(tmp_path / "a.npy")
