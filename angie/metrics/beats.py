@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import argrelextrema
 
-from angie.metrics.score import Score
+from angie.metrics.score import Score, not_finite
 from data_prep.synchrony import (
     NEAR,
     PROMINENCE,
@@ -72,6 +72,9 @@ def consistency(
         usual: (n,) mean step of the points over training data, above 0.
         fps: frames a second.
     """
+    broken = not_finite(points)
+    if broken is not None:
+        return broken
     total, count, still, silent = 0.0, 0, 0, 0
     for clip, sound in zip(points, onsets, strict=True):
         found = minima(activity(steps(clip), usual), fps)
@@ -93,6 +96,8 @@ def _gesture_beats(clip: NDArray, fps: float, kind: str) -> NDArray:
     if kind == "speed":
         return smooth_minima(speed, fps)
     if kind == "deceleration":
+        if len(speed) < 2:
+            return np.zeros(0)  # one frame has no slope
         slope = np.gradient(gaussian_filter1d(speed, SMOOTH * fps)) * fps
         return minima(slope, fps, PROMINENCE * float(np.abs(slope).mean()))
     raise ValueError(f"kind is speed or deceleration, not {kind!r}")
@@ -119,6 +124,9 @@ def matched(
         near: seconds.
         kind: "speed", or "deceleration" for the local minima of the speed's derivative.
     """
+    broken = not_finite(points)
+    if broken is not None:
+        return broken
     hits, beats, still, silent = 0, 0, 0, 0
     for clip, sound in zip(points, onsets, strict=True):
         found = _gesture_beats(clip, fps, kind)
@@ -172,6 +180,9 @@ def align(
     """
     if mode not in ("aist", "bailando"):
         raise ValueError(f"mode is aist or bailando, not {mode!r}")
+    broken = not_finite(points)
+    if broken is not None:
+        return broken
     values, still, silent = [], 0, 0
     for clip, sound in zip(points, onsets, strict=True):
         found = (_aist_beats if mode == "aist" else _bailando_beats)(clip, fps)

@@ -79,9 +79,8 @@ def feature_distance(real: NDArray, made: NDArray) -> Score:
     missing = _too_few(real, made)
     if missing is not None:
         return missing
-    value = distance(
-        real.mean(0), np.cov(real, rowvar=False), made.mean(0), np.cov(made, rowvar=False)
-    )
+    first, second = (np.atleast_2d(np.cov(rows, rowvar=False)) for rows in (real, made))
+    value = distance(real.mean(0), first, made.mean(0), second)
     counts = {"windows": len(made), "real windows": len(real), "features": real.shape[1]}
     return Score(value, counts=counts, warning=_warning(min(len(real), len(made)), real.shape[1]))
 

@@ -1,9 +1,12 @@
 """A score and what it was computed from, or why it could not be computed."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
@@ -44,3 +47,9 @@ class Score:
             "warning": self.warning,
             "deviation": self.deviation,
         }
+
+
+def not_finite(*motions: Sequence[NDArray]) -> Score | None:
+    """Why clips (T, n, D) cannot be scored when numbers of theirs are not finite, else None."""
+    broken = sum(not np.isfinite(clip).all() for clips in motions for clip in clips)
+    return Score.missing("motion is not finite", **{"not finite": broken}) if broken else None

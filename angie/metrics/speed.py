@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from angie.metrics.score import Score
+from angie.metrics.score import Score, not_finite
 from data_prep.synchrony import steps
 
 BINS = 60
@@ -29,6 +29,9 @@ def derivative(points: Sequence[NDArray], fps: float, order: int) -> Score:
         fps: frames a second.
         order: of the derivative, at least 1.
     """
+    broken = not_finite(points)
+    if broken is not None:
+        return broken
     values = [
         float(np.linalg.norm(np.diff(clip.astype(np.float64), order, axis=0), axis=-1).mean())
         * fps**order
@@ -64,6 +67,9 @@ def hellinger(real: Sequence[NDArray], made: Sequence[NDArray], fps: float) -> S
         made: motion to be scored (T, n, D), of each clip.
         fps: frames a second.
     """
+    broken = not_finite(real, made)
+    if broken is not None:
+        return broken
     speeds = [
         np.concatenate([steps(clip)[1:] for clip in clips]) * fps
         if len(clips)

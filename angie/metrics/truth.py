@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from angie.metrics.score import Score
+from angie.metrics.score import Score, not_finite
 
 CONSTANT = 1e-8
 """Standard deviation up to which a dimension counts as constant and is dropped from CCA."""
@@ -28,6 +28,9 @@ def maje(real: Sequence[NDArray], made: Sequence[NDArray]) -> Score:
         real: recorded points (T, n, D) of each clip.
         made: of the same shapes.
     """
+    broken = not_finite(real, made)
+    if broken is not None:
+        return broken
     pairs = _pairs(real, made)
     frames = sum(len(a) for a, _ in pairs)
     if not frames:
@@ -53,6 +56,9 @@ def mad(
     """
     if variant not in ("norm", "absolute"):
         raise ValueError(f"variant is norm or absolute, not {variant!r}")
+    broken = not_finite(real, made)
+    if broken is not None:
+        return broken
     apart = [np.diff(a - b, 2, axis=0) for a, b in _pairs(real, made)]
     frames = sum(len(change) for change in apart)
     if not frames:
@@ -95,6 +101,9 @@ def global_cca(real: Sequence[NDArray], made: Sequence[NDArray]) -> Score:
         real: recorded points (T, n, D) of each clip.
         made: of the same shapes.
     """
+    broken = not_finite(real, made)
+    if broken is not None:
+        return broken
     pairs = _pairs(real, made)
     frames = sum(len(a) for a, _ in pairs)
     if not frames:
@@ -118,6 +127,9 @@ def cca(real: Sequence[NDArray], made: Sequence[NDArray]) -> Score:
         real: recorded points (T, n, D) of each clip.
         made: of the same shapes.
     """
+    broken = not_finite(real, made)
+    if broken is not None:
+        return broken
     values: list[float] = []
     reasons: list[str] = []
     for a, b in _pairs(real, made):

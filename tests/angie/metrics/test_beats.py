@@ -121,3 +121,20 @@ def test_usual_steps_are_means_over_frames():
     points = np.zeros((5, 2, 2))
     points[:, 1, 0] = np.arange(5) * 3
     np.testing.assert_allclose(beats.usual_steps([points, points]), [0, 3])
+
+
+@pytest.mark.parametrize("hole", [np.nan, np.inf])
+@pytest.mark.parametrize("score", ["consistency", "matched", "align"])
+def test_motion_that_is_not_finite_is_told(score, hole):
+    broken = swinging(TIMES)
+    broken[10] = hole
+    usual = (ONE,) if score == "consistency" else ()
+    found = getattr(beats, score)([swinging(TIMES), broken], [TIMES, TIMES], *usual, FPS)
+    assert (found.value, found.reason) == (None, "motion is not finite")
+    assert found.counts == {"not finite": 1}
+
+
+@pytest.mark.parametrize("kind", ["speed", "deceleration"])
+def test_one_frame_is_without_beats(kind):
+    score = beats.matched([swinging(TIMES)[:1]], [TIMES], FPS, kind=kind)
+    assert score.value is None and score.counts["without motion beats"] == 1

@@ -24,6 +24,7 @@ def test_one_dimension_by_hand():
     # means 0 and 3, deviations 1 and 2: 9 + (1 - 2)^2
     real, made = np.array([[-1.0], [0.0], [1.0]]), np.array([[1.0], [3.0], [5.0]])
     assert frechet.feature_distance(np.c_[real, real], np.c_[made, made]).value == pytest.approx(20)
+    assert frechet.feature_distance(real, made).value == pytest.approx(10)
 
 
 def test_the_root_is_that_of_scipy(rng):

@@ -52,3 +52,15 @@ def test_hellinger_leaves_out_what_stands_still_in_the_truth():
     assert score.value == 0 and score.counts["still in truth"] == 1
     assert speed.hellinger([0 * true], [true], 25).value is None
     assert speed.hellinger([], [], 25).value is None
+
+
+def test_motion_that_is_not_finite_is_told():
+    whole, broken = (moving(np.sin(np.arange(60.0))) for _ in range(2))
+    broken[10] = np.nan
+    for score in (
+        speed.hellinger([whole], [broken], 25),
+        speed.hellinger([broken], [whole], 25),
+        speed.jerk([whole, broken], 25),
+        speed.acceleration([broken], 25),
+    ):
+        assert (score.value, score.reason) == (None, "motion is not finite")

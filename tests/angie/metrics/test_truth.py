@@ -69,3 +69,17 @@ def test_cca_tells_why_it_has_no_value(rng):
     # constant dimensions alone are dropped
     half = np.concatenate([real[:, :1], 0 * real[:, :1]], axis=1)
     assert truth.cca([half], [half]).value == pytest.approx(1)
+
+
+@pytest.mark.parametrize("hole", [np.nan, np.inf])
+def test_motion_that_is_not_finite_is_told(rng, hole):
+    real = rng.normal(size=(30, 2, 2))
+    made = real.copy()
+    made[3] = hole
+    for score in (
+        truth.maje([real], [made]),
+        truth.mad([made], [real], 25),
+        truth.global_cca([real], [made]),
+        truth.cca([real], [made]),
+    ):
+        assert (score.value, score.reason) == (None, "motion is not finite")
