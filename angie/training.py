@@ -269,10 +269,18 @@ class Trainer:
 
         Args:
             stride: frames from one training window to the next; the others are 32 apart.
+
+        Raises:
+            BadInput: no clip is as long as a window.
         """
         statistics: MotionStatistics = self.bundle.statistics()
         clips = [clip for clip in self.clips("train") if self.wanted(clip)]
         long = [clip for clip in clips if clip.motion.frames >= WINDOW]
+        if not long:
+            raise BadInput(
+                f"{self.dataset.path}: no training clip has {WINDOW} frames at {FPS} a second, "
+                "as long as a window; longer clips are needed"
+            )
         if len(long) < HELD_OUT:
             return MotionWindows(clips, statistics, stride=stride), None
         kept = {clip.name for clip in long[HELD_OUT - 1 :: HELD_OUT]}

@@ -77,7 +77,7 @@ class MotionWindows(Dataset[dict[str, Tensor]]):
             for first in range(0, clip.motion.frames - frames + 1, stride)
         ]
         if not self.places:
-            raise BadInput(f"dataset: no clip has {frames} frames; prepare longer videos")
+            raise BadInput(f"no clip has {frames} frames; prepare longer videos")
 
     def __len__(self) -> int:
         """Number of windows."""

@@ -213,3 +213,15 @@ def test_bad_requests_leave_nothing_behind(model, data, tmp_path, capsys):
     status, _, error = call(capsys, "gestures", model, sound, "-o", tmp_path / "out.txt")
     assert status == 2 and "must end in" in error
     assert sorted(path.name for path in tmp_path.iterdir()) == ["huge.npy", "other.npy"]
+
+
+def test_clips_that_are_too_short_are_told_with_their_folder(data, tmp_path, capsys):
+    folder = tmp_path / "short"
+    shutil.copytree(data, folder)
+    for path in (folder / "motion").iterdir():
+        points = read_points(path)[: 2 * FPS]
+        path.unlink()
+        np.save(path.with_suffix(".npy"), points)
+    arguments = ["-o", tmp_path / "model", "--preset", "tiny", "--device", "cpu", *TINY]
+    status, _, error = call(capsys, "train", folder, *arguments)
+    assert status == 2 and f"{folder}: no training clip has 96 frames" in error
