@@ -169,7 +169,7 @@ def code_sheet(
 
 def _square(path: Path, person: str | None) -> NDArray[np.uint8]:
     photo = read_photo(path)
-    return cut_out(photo, photo_crop(path, photo, person), IMAGE_SIZE)
+    return cut_out(photo, photo_crop(path, photo, person, with_crop=False), IMAGE_SIZE)
 
 
 def _draw(

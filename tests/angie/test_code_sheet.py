@@ -73,4 +73,9 @@ def test_bad_requests_leave_nothing_behind(shipped, tmp_path):
     shutil.copy(PHOTO, copy)
     with pytest.raises(BadInput, match="copy.png"):
         code_sheet(shipped, [copy], copy, force=True)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["copy.png", "sheet.mp4"]
+    wall = tmp_path / "wall.png"
+    Image.new("RGB", (320, 240), "grey").save(wall)
+    with pytest.raises(BadInput, match=r"wall\.png: no face found; take a photo that shows one$"):
+        code_sheet(shipped, [wall], tmp_path / "other.png")
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["copy.png", "sheet.mp4", "wall.png"]

@@ -27,6 +27,8 @@ def test_several_people_are_refused_or_one_is_chosen(portrait):
     both = np.hstack([small, portrait])
     with pytest.raises(BadInput, match="both.png: shows 2 people; choose .*--person.*--crop"):
         photo_crop("both.png", both)
+    with pytest.raises(BadInput, match="right or largest$"):
+        photo_crop("both.png", both, with_crop=False)
     left, largest = (photo_crop("", both, who) for who in ("left", "largest"))
     assert left.x < small.shape[1] / 2 < largest.x and left.size < largest.size
     with pytest.raises(BadInput, match="--person middle"):
