@@ -88,7 +88,8 @@ def animate(
             refuses such photos.
         scale_motion: "hull" scales the gestures by the size of the person (spanned by the
             regions) against the training speakers', or that of `style`, "none" does not.
-        greedy: always the likeliest gesture; every seed then gives the same video.
+        greedy: always the likeliest gesture; every seed then gives the same video. Else gestures
+            are sampled. Both whatever method of sampling the bundle has.
         style: a training speaker of a joint model, whose way of gesturing is taken; the pose to
             begin with and to return to stays the photo's. None gestures like anyone.
         precision: of the renderer's convolutions, as `mraa.session.RenderSession`, and of the

@@ -74,7 +74,8 @@ def gestures(
             None takes that of `speaker`, or of anyone.
         fps: frames a second wanted; motion of regions has 25.
         seed: of the gestures.
-        greedy: always the likeliest gesture.
+        greedy: always the likeliest gesture; else gestures are sampled. Both whatever method of
+            sampling the bundle has, as in `angie.animate`.
         force: replace an existing output.
 
     Returns:

@@ -47,7 +47,12 @@ def animate(
         str, typer.Option(help="none, or hull: scale gestures to the person's size.")
     ] = "none",
     greedy: Annotated[
-        bool, typer.Option("--greedy", help="Always the likeliest gesture, whatever the seed.")
+        bool,
+        typer.Option(
+            "--greedy",
+            help="Always the likeliest gesture, whatever the seed; without it gestures are "
+            "sampled, whatever generation.sampling.method the bundle has.",
+        ),
     ] = False,
     style: Style = None,
     precision: Precision = "auto",

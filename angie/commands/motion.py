@@ -29,7 +29,12 @@ def gestures(
     fps: Annotated[float, typer.Option(min=1, max=1000, help="Frames a second of joints.")] = FPS,
     seed: Seed = 0,
     greedy: Annotated[
-        bool, typer.Option("--greedy", help="Always the likeliest gesture, whatever the seed.")
+        bool,
+        typer.Option(
+            "--greedy",
+            help="Always the likeliest gesture, whatever the seed; without it gestures are "
+            "sampled, whatever generation.sampling.method the bundle has.",
+        ),
     ] = False,
     force: Force = False,
 ) -> None:
