@@ -277,10 +277,7 @@ class Trainer:
         clips = [clip for clip in self.clips("train") if self.wanted(clip)]
         long = [clip for clip in clips if clip.motion.frames >= WINDOW]
         if not long:
-            raise BadInput(
-                f"{self.dataset.path}: no training clip has {WINDOW} frames at {FPS} a second, "
-                "as long as a window; longer clips are needed"
-            )
+            raise _too_short(self.dataset.path)
         if len(long) < HELD_OUT:
             return MotionWindows(clips, statistics, stride=stride), None
         kept = {clip.name for clip in long[HELD_OUT - 1 :: HELD_OUT]}
@@ -303,6 +300,13 @@ def open_data(folder: Path, output: Path) -> Dataset | KeypointDataset:
     if (folder / INDEX).is_file():
         return KeypointDataset(folder, output / TRAIN / "features")
     return Dataset(folder)
+
+
+def _too_short(folder: Path) -> BadInput:
+    return BadInput(
+        f"{folder}: no training clip has {WINDOW} frames at {FPS} a second, as long as a window; "
+        "longer clips are needed"
+    )
 
 
 def train(
@@ -345,6 +349,9 @@ def train(
         raise BadInput(f"--speaker {speaker}: {dataset} has {', '.join(data.speakers())}")
     if not data.clips("train"):
         raise BadInput(f"{dataset}: has no clips to train on; prepare more videos")
+    lengths = [c.n_frames for c in data.clips("train") if speaker in (None, c.speaker)]
+    if stage == "all" and max(lengths, default=0) < WINDOW:
+        raise _too_short(dataset)  # before hours of the renderer's training, which would do
     if isinstance(data, KeypointDataset):
         preset = None if preset is None else of_points(preset, data.joints())
     run = run or RunConfig()

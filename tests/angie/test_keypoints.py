@@ -225,3 +225,4 @@ def test_clips_that_are_too_short_are_told_with_their_folder(data, tmp_path, cap
     arguments = ["-o", tmp_path / "model", "--preset", "tiny", "--device", "cpu", *TINY]
     status, _, error = call(capsys, "train", folder, *arguments)
     assert status == 2 and f"{folder}: no training clip has 96 frames" in error
+    assert not (tmp_path / "model").exists()
