@@ -6,6 +6,7 @@ import shutil
 import numpy as np
 import pytest
 
+from angie.demo import BUNDLE
 from angie.evaluation.evaluate import evaluate
 from angie.evaluation.folder import evaluate_videos
 from angie.evaluation.networks import EvaluationConfig
@@ -53,13 +54,18 @@ def test_the_truth_is_perfect_and_stillness_has_no_beats(made):
     assert row(numbers, "motionless")["scores"]["bc"]["mean"] is None
 
 
-def test_image_scores_of_the_true_regions_are_best(made):
-    _, numbers = made
-    true, still = (row(numbers, n, "images")["scores"] for n in ("true regions", "motionless"))
+@pytest.fixture(scope="module")
+def shipped(dataset, phantom_videos, tmp_path_factory):
+    output = tmp_path_factory.mktemp("evaluation") / "shipped"
+    return evaluate(dataset.path, [BUNDLE], output, EvaluationConfig(truth=phantom_videos, **QUICK))
+
+
+def test_image_scores_of_the_true_regions_are_best(shipped):
+    """With a renderer that can draw; the tests' own has hardly been trained."""
+    true, still = (row(shipped, n, "images")["scores"] for n in ("true regions", "motionless"))
     assert [key for key in true if true[key]["mean"] is None] == ["mkr"]
-    assert true["l1"]["mean"] < still["l1"]["mean"]
     assert true["psnr"]["mean"] > still["psnr"]["mean"]
-    for key in ("perceptual", "aed", "akd_joints"):
+    for key in ("l1", "perceptual", "aed", "akd", "akd_joints"):
         assert true[key]["mean"] < still[key]["mean"], key
 
 
