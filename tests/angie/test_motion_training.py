@@ -149,7 +149,7 @@ def test_vq_measures_the_mean_of_what_it_decodes(vq, windows):
 
 def test_gpt_hears(vq, windows, held_out, tmp_path):
     gpt = train_gpt(
-        tmp_path, vq, windows, held_out, GPT, GPTTraining(schedule(100)), run_config=CPU
+        tmp_path, vq, windows, held_out, GPT, GPTTraining(schedule(150)), run_config=CPU
     )
     coded = code_windows(vq, held_out)
     onset = coded.stack("onset", 0, len(coded))
