@@ -147,15 +147,15 @@ def test_vq_measures_the_mean_of_what_it_decodes(vq, windows):
     assert torch.allclose(remove_mean(decoded, vq.mean).mean((0, 1)), torch.zeros(20), atol=1e-5)
 
 
-def test_gpt_hears(vq, windows, held_out, tmp_path):
+def test_gpt_hears(vq, clips, statistics, held_out, tmp_path):
+    windows = MotionWindows(clips[:10], statistics, stride=8)  # as lite; every 32 is too few
     gpt = train_gpt(
         tmp_path, vq, windows, held_out, GPT, GPTTraining(schedule(100)), run_config=CPU
     )
-    for some, margin in ((windows, 0.3), (held_out, 0.02)):  # few are held out, codes vary
-        coded = code_windows(vq, some)
-        onset = coded.stack("onset", 0, len(coded))
-        deaf = coded.choose(["speaker"], codes=coded.rows["codes"], onset=onset.roll(3, 0))
-        assert cross_entropy(gpt, coded) < cross_entropy(gpt, deaf) - margin
+    coded = code_windows(vq, held_out)
+    onset = coded.stack("onset", 0, len(coded))
+    deaf = coded.choose(["speaker"], codes=coded.rows["codes"], onset=onset.roll(3, 0))
+    assert cross_entropy(gpt, coded) < cross_entropy(gpt, deaf) - 0.1
 
 
 def test_refiner_brings_patterns_nearer_to_the_truth(vq, windows, held_out, tmp_path):

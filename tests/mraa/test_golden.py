@@ -65,10 +65,10 @@ def test_prediction_with_moving_background(networks, regions, io):
     background = renderer.background(io["in.source"], io["in.driving"])
     close(background, io["out.bg"])
     prediction, flow = renderer(io["in.source"], *regions, background)
-    close(flow.flow, io["out.optical_flow"])
+    close(flow.flow, io["out.optical_flow"], 1e-5)
     close(flow.occlusion, io["out.occlusion_map"])
     close(prediction, io["out.prediction"])
-    # at the reference's own flow: an edge in the picture makes 1e-4 of a rounding error of 2e-6
+    # at the reference's own flow: an edge in the picture makes 1.4e-4 of 7e-6, as it rounds
     field = resize_flow(io["out.optical_flow"], 128, 128, align_corners=False)
     close(warp(io["in.source"], field, align_corners=False), io["out.deformed"])
 
