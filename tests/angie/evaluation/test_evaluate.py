@@ -54,6 +54,15 @@ def test_the_truth_is_perfect_and_stillness_has_no_beats(made):
     assert row(numbers, "motionless")["scores"]["bc"]["mean"] is None
 
 
+def test_image_scores_of_the_true_regions_are_best_even_hardly_trained(made):
+    _, numbers = made
+    true, still = (row(numbers, n, "images")["scores"] for n in ("true regions", "motionless"))
+    assert [key for key in true if true[key]["mean"] is None] == ["mkr"]
+    assert true["psnr"]["mean"] > still["psnr"]["mean"]
+    for key in ("l1", "perceptual", "aed"):  # regions of a picture so rough may be anywhere
+        assert true[key]["mean"] < still[key]["mean"], key
+
+
 @pytest.fixture(scope="module")
 def shipped(dataset, phantom_videos, tmp_path_factory):
     output = tmp_path_factory.mktemp("evaluation") / "shipped"
