@@ -3,7 +3,7 @@
 ANGIE's Tables 1 and 2 compare skeletons (section 4.2: the VQ without Cholesky factors). The same
 VQ motion extractor, GPT and refiner then work on the stream of the shift alone. The layout::
 
-    clips.csv             clip,speaker,split,fps     split is train or test; fps of the motion
+    clips.csv             clip,speaker,split,fps     split is train, val or test; fps of the motion
     motion/<clip>.npy     (T, J, 2) float, one row a frame; or .npz with `points`
     audio/<clip>.wav      the sound, of the same beginning; any format that can be read
 
@@ -35,7 +35,7 @@ from data_prep.sound import read_sound
 
 INDEX = "clips.csv"
 COLUMNS = ("clip", "speaker", "split", "fps")
-SPLITS = ("train", "test")
+SPLITS = ("train", "val", "test")
 
 MOST = 1e15
 """Largest coordinate: training is in float32, where the squares of larger ones overflow."""
@@ -48,7 +48,7 @@ class KeypointClip:
     Attributes:
         id: name of the clip's files.
         speaker: name of the speaker.
-        split: "train" or "test".
+        split: "train", "val" (to choose weights by; may be absent) or "test".
         fps: frames a second of the motion.
         n_frames: frames at 25 a second.
     """
@@ -146,7 +146,8 @@ class KeypointDataset:
         except (TypeError, ValueError):
             fps = 0.0
         if not name or Path(name).name != name or row["split"] not in SPLITS or not row["speaker"]:
-            raise BadInput(f"{index}: {name or 'a row'}: needs a name, a speaker and train or test")
+            wanted = f"a name, a speaker and {', '.join(SPLITS[:-1])} or {SPLITS[-1]}"
+            raise BadInput(f"{index}: {name or 'a row'}: needs {wanted}")
         if not 1 <= fps <= 1000:
             raise BadInput(f"{index}: {name}: fps {row['fps']} is no rate from 1 to 1000")
         points = read_points(self._motion_file(name))

@@ -11,6 +11,7 @@ from angie.patterns import encode_windows
 from angie.schedule import BestWeights, Schedule
 from angie.vq import VQMotionExtractor
 from angie.windows import STRIDE, MotionWindows, check_stride
+from data_prep.rates import FRAMES_PER_TOKEN
 from mraa.run import Run, RunConfig
 
 
@@ -22,7 +23,8 @@ class GPTTraining:
         schedule: Adam 3e-4, batch 32, up to 500 epochs, milestones 250 and 400.
         checks: evenly spaced evaluations on the held-out windows.
         patience: evaluations without improvement after which training stops.
-        stride: frames from one training window to the next (Bailando's GPT takes 8).
+        stride: frames from one training window to the next, a multiple of 8
+            (Bailando's GPT takes 8).
     """
 
     schedule: Schedule = field(default_factory=lambda: Schedule(rate=3e-4, milestones=(250, 400)))
@@ -33,7 +35,7 @@ class GPTTraining:
     def __post_init__(self) -> None:
         if min(self.checks, self.patience) < 1:
             raise ValueError("checks and patience must be positive")
-        check_stride(self.stride)
+        check_stride(self.stride, FRAMES_PER_TOKEN)
 
 
 ANYONE = 0.1

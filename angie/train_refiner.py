@@ -14,6 +14,7 @@ from angie.refiner import Refiner, RefinerConfig
 from angie.schedule import BestWeights, Schedule
 from angie.vq import VQMotionExtractor
 from angie.windows import STRIDE, MotionWindows, check_stride
+from data_prep.rates import FRAMES_PER_TOKEN
 from mraa.run import Run, RunConfig
 
 
@@ -26,7 +27,7 @@ class RefinerTraining:
         drifting: share of the windows that get a random linear drift to remove.
         checks: evenly spaced evaluations on the held-out windows.
         covariance: weight of the mean absolute error of C = L L^T, in units of its mean size.
-        stride: frames from one training window to the next.
+        stride: frames from one training window to the next, a multiple of 8.
         velocity: weight of the mean absolute error of the change from frame to frame, in which
             the rhythm is; not in the paper.
     """
@@ -45,7 +46,7 @@ class RefinerTraining:
             raise ValueError("checks must be positive, drifting a share")
         if min(self.covariance, self.velocity) < 0:
             raise ValueError("covariance and velocity must not be negative")
-        check_stride(self.stride)
+        check_stride(self.stride, FRAMES_PER_TOKEN)
 
 
 def pattern_windows(vq: VQMotionExtractor | DirectMotion, windows: MotionWindows) -> MotionWindows:

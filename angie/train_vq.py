@@ -28,7 +28,8 @@ class VQTraining:
         schedule: Adam 3e-5, batch 32, 500 epochs.
         commitment: weight of the commitment loss (b1 and b2 of equation 9).
         latent: weight of the codebook loss, which is zero under EMA.
-        stride: frames from one training window to the next.
+        stride: frames from one training window to the next. One that is no multiple of 8, a
+            code's frames, shows every movement at other phases of the codes; not in the paper.
         still_share: largest share of the windows in which nothing moves; 1 keeps all.
         checks: evenly spaced evaluations on the held-out windows, for the curves.
         summed: weight of the mean absolute error of the deltas summed up from the window's

@@ -43,7 +43,8 @@ PART_OF = {STAGE_OF.get(part, part): part for part in UPSTREAM}
 STAGES = tuple(PART_OF)
 
 HELD_OUT = 10
-"""Every so many training clips one is kept from the motion stages to choose weights by."""
+"""Every so many training clips one is kept from the motion stages to choose weights by, where the
+dataset has no clips for that."""
 
 
 @dataclass
@@ -263,9 +264,10 @@ class Trainer:
         ]
 
     def windows(self, stride: int) -> tuple[MotionWindows, MotionWindows | None]:
-        """Training windows, and those of every tenth training clip to choose weights by.
+        """Training windows, and those of other clips to choose weights by.
 
-        The test split stays out of training altogether.
+        These are of the split "val", or where it has none, of every tenth training clip. The
+        test split stays out of training altogether.
 
         Args:
             stride: frames from one training window to the next; the others are 32 apart.
@@ -274,18 +276,19 @@ class Trainer:
             BadInput: no clip is as long as a window.
         """
         statistics: MotionStatistics = self.bundle.statistics()
-        clips = [clip for clip in self.clips("train") if self.wanted(clip)]
-        long = [clip for clip in clips if clip.motion.frames >= WINDOW]
-        if not long:
+        clips, kept = (self._long_clips(split) for split in ("train", "val"))
+        if not clips:
             raise _too_short(self.dataset.path)
-        if len(long) < HELD_OUT:
-            return MotionWindows(clips, statistics, stride=stride), None
-        kept = {clip.name for clip in long[HELD_OUT - 1 :: HELD_OUT]}
-        others = [clip for clip in clips if clip.name not in kept]
-        return (
-            MotionWindows(others, statistics, stride=stride),
-            MotionWindows([clip for clip in clips if clip.name in kept], statistics),
-        )
+        if not kept:
+            kept = clips[HELD_OUT - 1 :: HELD_OUT]
+            clips = [clip for i, clip in enumerate(clips, 1) if i % HELD_OUT]
+        windows = MotionWindows(clips, statistics, stride=stride)
+        return windows, MotionWindows(kept, statistics) if kept else None
+
+    def _long_clips(self, split: str) -> list[MotionClip]:
+        """Clips of the bundle's speakers that are as long as a window."""
+        clips = [clip for clip in self.clips(split) if self.wanted(clip)]
+        return [clip for clip in clips if clip.motion.frames >= WINDOW]
 
     def how(self, part: str, precision: str = "32-true") -> RunConfig:
         """How to run a stage; those of motion are small and stay in float32."""

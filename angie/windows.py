@@ -25,14 +25,19 @@ STRIDE = 32
 """Frames from one training window to the next (ANGIE, section 4)."""
 
 
-def check_stride(stride: int) -> None:
-    """Refuse a stride that is no whole number of tokens.
+def check_stride(stride: int, step: int = 1) -> None:
+    """Refuse a stride of training windows.
+
+    Args:
+        stride: frames.
+        step: 1, or 8 where windows begin on the tokens of the sound.
 
     Raises:
-        ValueError: not a positive multiple of 8.
+        ValueError: not a positive multiple of `step`.
     """
-    if stride < 1 or stride % FRAMES_PER_TOKEN:
-        raise ValueError(f"stride is a multiple of {FRAMES_PER_TOKEN} frames, not {stride}")
+    if stride < 1 or stride % step:
+        wanted = f"a multiple of {step} frames" if step > 1 else "at least one frame"
+        raise ValueError(f"stride is {wanted}, not {stride}")
 
 
 class MotionWindows(Dataset[dict[str, Tensor]]):
@@ -44,14 +49,14 @@ class MotionWindows(Dataset[dict[str, Tensor]]):
         onset: (12, 426) standardised onset features of the window's tokens.
         mfcc: (96, 28, 12) standardised MFCC windows of its frames.
         speaker: () int64, place of the clip's speaker in the statistics' speakers.
-    and one row of every tensor in `rows`. Windows begin on whole tokens.
+    and one row of every tensor in `rows`. Windows with onsets begin on whole tokens.
 
     Args:
         clips: clips; those shorter than a window give none.
         statistics: for standardising.
         parts: names of the parts an item has.
         frames: frames T of a window, a multiple of 8.
-        stride: frames from window to window, a multiple of 8.
+        stride: frames from window to window; a multiple of 8 if onsets are among the parts.
         rows: tensors (number of windows, ...) with something precomputed for every window.
 
     Raises:
@@ -67,8 +72,8 @@ class MotionWindows(Dataset[dict[str, Tensor]]):
         stride: int = STRIDE,
         rows: dict[str, Tensor] | None = None,
     ) -> None:
-        if frames % FRAMES_PER_TOKEN or stride % FRAMES_PER_TOKEN:
-            raise ValueError(f"windows begin and end on tokens: {frames}, {stride}")
+        if frames % FRAMES_PER_TOKEN or ("onset" in parts and stride % FRAMES_PER_TOKEN):
+            raise ValueError(f"windows of onsets begin and end on tokens: {frames}, {stride}")
         self.clips, self.statistics, self.parts = clips, statistics, tuple(parts)
         self.frames, self.stride, self.rows = frames, stride, rows or {}
         self.places = [

@@ -5,13 +5,16 @@ import sys
 
 import numpy as np
 import pytest
+from lightning_fabric import Fabric
 
 from angie.bundle import Bundle
 from angie.cli import main
 from angie.keypoints import KeypointDataset, read_points, resample
 from angie.summary import describe
+from angie.training import Trainer
 from data_prep.errors import BadInput
 from data_prep.sound import write_wav
+from mraa.run import RunConfig
 
 JOINTS, FPS = 3, 15
 TINY = (
@@ -151,7 +154,7 @@ def test_going_on_and_other_stages(model, data, tmp_path, capsys):
     [
         ("c1,ada,train", "fps"),
         ("c1,ada,train,fast", "no rate"),
-        ("c1,ada,valid,15", "train or test"),
+        ("c1,ada,valid,15", "train, val or test"),
         ("c1,,train,15", "speaker"),
         ("../c1,ada,train,15", "a name"),
         ("nothing,ada,train,15", "motion/nothing.npy is missing"),
@@ -226,3 +229,20 @@ def test_clips_that_are_too_short_are_told_with_their_folder(data, tmp_path, cap
     status, _, error = call(capsys, "train", folder, *arguments)
     assert status == 2 and f"{folder}: no training clip has 96 frames" in error
     assert not (tmp_path / "model").exists()
+
+
+def test_weights_are_chosen_by_the_validation_split_where_there_is_one(model, data, tmp_path):
+    def names(folder):
+        joints = KeypointDataset(folder, tmp_path / "cache")
+        trainer = Trainer(
+            joints, Bundle.open(model), 0, RunConfig(), False, Fabric(accelerator="cpu")
+        )
+        return [[clip.name for clip in windows.clips] for windows in trainer.windows(32)]
+
+    learnt, kept = names(data)
+    assert (learnt, kept) == ([f"c{n}" for n in range(9)], ["c9"])  # every tenth
+    shutil.copytree(data, tmp_path / "data")
+    index = tmp_path / "data" / "clips.csv"
+    index.write_text(index.read_text().replace("c3,ada,train", "c3,ada,val"))
+    learnt, kept = names(tmp_path / "data")
+    assert kept == ["c3"] and len(learnt) == 9 and "c9" in learnt and "c3" not in learnt

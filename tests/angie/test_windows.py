@@ -4,6 +4,9 @@ import pytest
 import torch
 
 from angie.motion import Motion
+from angie.train_gpt import GPTTraining
+from angie.train_refiner import RefinerTraining
+from angie.train_vq import VQTraining
 from angie.windows import MotionWindows
 from data_prep.errors import BadInput
 
@@ -87,3 +90,21 @@ def test_some_of_the_windows_keep_their_rows(clips, statistics):
     some = windows.chosen([4, 1])
     assert [int(item["number"]) for item in (some[0], some[1])] == [4, 1]
     assert torch.equal(some[0]["poses"], windows[4]["poses"])
+
+
+def test_windows_without_onsets_begin_at_any_frame(make_clip, statistics):
+    clip = make_clip(110, 0)
+    windows = MotionWindows([clip], statistics, ["poses", "mfcc"], stride=5)
+    assert [first for _, first in windows.places] == [0, 5, 10]
+    assert torch.equal(windows[1]["poses"], clip.motion.vector()[4:101])
+    with pytest.raises(ValueError, match="tokens"):
+        windows.choose(["onset"])
+
+
+@pytest.mark.parametrize("training", [GPTTraining, RefinerTraining])
+def test_a_stride_is_whole_tokens_where_codes_meet_sound(training):
+    assert VQTraining(stride=5).stride == 5
+    with pytest.raises(ValueError, match="a multiple of 8 frames, not 5"):
+        training(stride=5)
+    with pytest.raises(ValueError, match="at least one frame, not 0"):
+        VQTraining(stride=0)
