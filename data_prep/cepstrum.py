@@ -38,7 +38,7 @@ def _mel_filters() -> np.ndarray:
     return np.where(bins < centre, rising, falling) * ((bins >= left) & (bins < right))
 
 
-def cepstra(samples: np.ndarray, count: int) -> np.ndarray:
+def cepstra(samples: np.ndarray, count: int, around: int = 0) -> np.ndarray:
     """Cepstra with the log energy in the place of the first coefficient.
 
     The definition is that of the package python_speech_features with a step of 10 ms:
@@ -48,25 +48,26 @@ def cepstra(samples: np.ndarray, count: int) -> np.ndarray:
     Args:
         samples: `(N,)` mono at 16 kHz in [-1, 1].
         count: windows wanted; the samples are continued by zeros.
+        around: zeros before and after the samples, to which the pre-emphasis reaches.
 
     Returns:
-        cepstra `(count, 13)` float64; row i is of samples `[HOP i, HOP i + WINDOW)`.
+        cepstra `(count, 13)` float64; row i is of `[HOP i, HOP i + WINDOW)`, counted from the
+        first of these zeros.
     """
     samples = np.asarray(samples)
     blocks = [
-        _cepstra(samples, first, min(_BLOCK, count - first)) for first in range(0, count, _BLOCK)
+        _cepstra(samples, HOP * first - around, min(_BLOCK, count - first), min(around, 1))
+        for first in range(0, count, _BLOCK)
     ]
     return np.concatenate(blocks) if blocks else np.zeros((0, _COEFFICIENTS))
 
 
-def _cepstra(samples: np.ndarray, first: int, count: int) -> np.ndarray:
-    """Cepstra of windows [first, first + count)."""
-    begin, needed = first * HOP, (count - 1) * HOP + WINDOW
-    heard = samples[begin : begin + needed].astype(np.float64)
-    before = samples[max(begin - 1, 0) : max(begin - 1, 0) + len(heard)].astype(np.float64)
-    if not begin and len(heard):
-        before = np.append(0.0, before[:-1])  # the first sample has none before it
-    shaped = heard - _PRE_EMPHASIS * before[: len(heard)]
+def _cepstra(samples: np.ndarray, begin: int, count: int, after: int) -> np.ndarray:
+    """Cepstra of `count` windows, the first at sample `begin`, which may be before the sound."""
+    needed = (count - 1) * HOP + WINDOW
+    heard = samples[max(begin - 1, 0) : max(begin + needed, 0)].astype(np.float64)
+    heard = np.pad(heard, (min(max(1 - begin, 0), needed + 1), after))  # from begin - 1 on
+    shaped = (heard[1:] - _PRE_EMPHASIS * heard[:-1])[:needed]
     shaped = np.pad(shaped, (0, needed - len(shaped)))
     windows = np.lib.stride_tricks.sliding_window_view(shaped, WINDOW)[::HOP]
     power = np.abs(np.fft.rfft(windows, _FFT)) ** 2 / _FFT  # (count, 257)

@@ -44,7 +44,8 @@ class SpeechFeatures:
 
     Attributes:
         onset: `(S, 426)` float32, one row for each token.
-        mfcc: `(T, 28, 12)` float32, one window for each video frame, centred on it.
+        mfcc: `(T, 28, 12)` float32, one window for each video frame, centred on it; of
+            `speech_features`, they share the rows in which they overlap.
         onset_times: `(n,)` float32, onsets of sounds in seconds.
     """
 
@@ -119,14 +120,15 @@ def mfcc_windows(samples: np.ndarray) -> np.ndarray:
         samples: `(N,)` float32 mono at 16 kHz.
 
     Returns:
-        windows `(T, 28, 12)` float32.
+        windows `(T, 28, 12)` float32; they share the rows in which they overlap, a seventh of
+        what copies would take.
     """
     frames = frames_covering(len(samples))
     per_frame = SAMPLES_PER_FRAME // CEPSTRUM_HOP
-    padded = np.pad(samples, _REACH * SAMPLES_PER_FRAME)
-    rows = cepstra(padded, (frames + 2 * _REACH) * per_frame)[:, 1:].astype(np.float32)
-    windows = np.lib.stride_tricks.sliding_window_view(rows, MFCC_ROWS, axis=0)[::per_frame]
-    return windows.transpose(0, 2, 1).copy()
+    count, around = (frames + 2 * _REACH) * per_frame, _REACH * SAMPLES_PER_FRAME
+    rows = cepstra(samples, count, around)[:, 1:].astype(np.float32)
+    windows = np.lib.stride_tricks.sliding_window_view(rows, MFCC_ROWS, axis=0, writeable=True)
+    return windows[::per_frame].transpose(0, 2, 1)
 
 
 def onset_times(samples: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Recordings: decoded as a stream at their own rate, or read whole as mono samples."""
 
+from array import array
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -215,23 +216,25 @@ def read_sound(path: Path, rate: int = SAMPLE_RATE, origin: float | None = None)
     with open_recording(path) as recording:
         converter = soxr.ResampleStream(recording.rate, rate, 1, dtype="float32")
         lead = 0 if origin is None else round((recording.start - origin) * recording.rate)
-        parts = [converter.resample_chunk(np.zeros(max(lead, 0), np.float32))]
+        grown = array("f")  # in place: an hour of sound is large enough not to be held twice
+
+        def put(mono: np.ndarray, last: bool = False) -> None:
+            made = np.nan_to_num(converter.resample_chunk(mono, last=last))
+            grown.frombytes(np.clip(made, -1.0, 1.0).tobytes())
+
+        put(np.zeros(max(lead, 0), np.float32))
         count, skip = max(lead, 0), max(-lead, 0)
         for block in recording.blocks():
             mono = block.mean(axis=0)[skip:]
             skip -= block.shape[1] - len(mono)
             count += len(mono)
-            parts.append(converter.resample_chunk(mono))
+            put(mono)
         length = round(count * rate / recording.rate)
-        parts.append(converter.resample_chunk(np.zeros(0, np.float32), last=True))
-    samples = np.concatenate(parts)[:length]
-    del parts  # an hour of sound is large enough not to be held twice
+        put(np.zeros(0, np.float32), last=True)
+    samples = np.frombuffer(grown, np.float32)[:length]
     if not len(samples):
         raise BadInput(f"{path}: holds no sound samples; give another recording")
-    if len(samples) < length:
-        samples = np.pad(samples, (0, length - len(samples)))
-    np.nan_to_num(samples, copy=False)
-    return np.clip(samples, -1.0, 1.0, out=samples)
+    return np.pad(samples, (0, length - len(samples))) if len(samples) < length else samples
 
 
 def write_wav(path: Path, samples: np.ndarray, rate: int = SAMPLE_RATE) -> None:
