@@ -39,6 +39,9 @@ LEAST_MOVEMENT = 0.25
 STRIP = 120
 """Height in pixels of a histogram."""
 
+CAPTION = 400
+"""Width in pixels of the line above a histogram, and so the least width of a picture."""
+
 LABEL = 22
 """Height in pixels of the line above a row."""
 
@@ -160,6 +163,8 @@ def code_sheet(
     squares = [_square(path, person) for path in photos]
     frames, ends = _draw(renderer, generator, squares, pairs)
     grid = np.concatenate([_row(str(p), cells) for p, cells in zip(pairs, ends, strict=True)])
+    missing = max(CAPTION - grid.shape[1], 0)
+    grid = np.pad(grid, ((0, 0), (0, missing), (0, 0)), constant_values=255)
     strips = [_histogram(generator.vq, name, grid.shape[1]) for name in ("shift", "cholesky")]
     with whole_file(output, force=force) as picture, whole_file(video, force=force) as film:
         _write_picture(picture, np.concatenate([grid, *strips]))

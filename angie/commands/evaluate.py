@@ -59,7 +59,11 @@ def evaluate(
         ),
     ] = None,
     greedy: Annotated[
-        bool, typer.Option("--greedy", help="Always the likeliest gesture, as the papers' tables.")
+        bool,
+        typer.Option(
+            "--greedy",
+            help="Always the likeliest gesture, as the papers' tables; else as the bundle is set.",
+        ),
     ] = False,
     perceptual_weights: Annotated[
         Path | None, typer.Option(help="File of VGG19's weights for the perceptual distance.")

@@ -55,7 +55,7 @@ def test_frequent_pairs_come_from_the_report(shipped):
 def test_a_sheet_and_a_film(shipped, tmp_path):
     sheet = code_sheet(shipped, [PHOTO], tmp_path / "sheet.png", count=1)
     picture = np.asarray(Image.open(sheet.picture))
-    assert picture.shape == (256 + 22 + 2 * 120, 256, 3)
+    assert picture.shape == (256 + 22 + 2 * 120, 400, 3)
     with av.open(str(sheet.video)) as film:
         frames = [frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]
     assert frames[0].shape == (278, 256, 3) and len(frames) == 88
