@@ -1,6 +1,7 @@
 """Region motion of every clip of a dataset, measured by the frozen region estimator."""
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from angie.motion import Motion, encode_cholesky, read_motion, write_motion
 from data_prep.dataset import Clip, Dataset
 from data_prep.errors import BadInput
 from data_prep.output import whole_file
+from data_prep.pool import spread
 from data_prep.progress import progress
 from mraa.regions import RegionEstimator
 from mraa.renderer import from_pixels
@@ -29,7 +31,12 @@ def measure_motion(estimator: RegionEstimator, frames: Iterator[Tensor]) -> Moti
 
 
 def extract_dataset(
-    dataset: Dataset, estimator: RegionEstimator, folder: Path, identity: str, batch: int = 16
+    dataset: Dataset,
+    estimator: RegionEstimator,
+    folder: Path,
+    identity: str,
+    batch: int = 16,
+    jobs: int = 0,
 ) -> None:
     """Write `folder/<clip>.npz` for every clip; clips done by the same estimator are kept.
 
@@ -39,18 +46,42 @@ def extract_dataset(
         folder: where the motion goes; made if need be.
         identity: hash of the estimator, stored with the motion.
         batch: frames at a time.
+        jobs: processes that measure on a CPU, which share its threads; below 2 this one does.
+
+    Raises:
+        BadInput: a process died of a clip.
     """
     folder.mkdir(parents=True, exist_ok=True)
     clips = dataset.clips()
+    todo = [clip for clip in clips if not _is_done(folder / f"{clip.id}.npz", identity)]
+    if next(estimator.parameters()).device.type != "cpu":
+        jobs = 0
+    threads = max(1, torch.get_num_threads() // max(jobs, 1))
+    work = partial(_measure, dataset, estimator, folder, identity, batch, threads)
     frames = sum(clip.n_frames for clip in clips)
     with progress("motion", frames, "frames") as advance:
-        for clip in clips:
-            path = folder / f"{clip.id}.npz"
-            if not _is_done(path, identity):
-                motion = measure_motion(estimator, _batches(dataset, clip, batch))
-                with whole_file(path, force=True) as part:
-                    write_motion(part, motion, identity)
+        advance(frames - sum(clip.n_frames for clip in todo))
+        for clip, done in spread(work, todo, jobs):
+            if done is None:
+                raise BadInput(f"{dataset.path}: a process died of {clip.id}; take fewer --workers")
             advance(clip.n_frames)
+
+
+def _measure(
+    dataset: Dataset,
+    estimator: RegionEstimator,
+    folder: Path,
+    identity: str,
+    batch: int,
+    threads: int,
+    clip: Clip,
+) -> bool:
+    """Write the motion of a clip."""
+    torch.set_num_threads(threads)
+    motion = measure_motion(estimator, _batches(dataset, clip, batch))
+    with whole_file(folder / f"{clip.id}.npz", force=True) as part:
+        write_motion(part, motion, identity)
+    return True
 
 
 def _batches(dataset: Dataset, clip: Clip, batch: int) -> Iterator[Tensor]:

@@ -144,7 +144,13 @@ class Trainer:
         """Measure the region motion of all clips that have not been measured yet."""
         assert isinstance(self.dataset, Dataset)  # joints are given
         estimator = self.bundle.renderer().estimator.to(self.fabric.device)
-        extract_dataset(self.dataset, estimator, self.motion_folder, self.motion_identity)
+        extract_dataset(
+            self.dataset,
+            estimator,
+            self.motion_folder,
+            self.motion_identity,
+            jobs=self.run.workers,
+        )
 
     def vq(self) -> None:
         """Train the VQ motion extractor, or the regression in its place without codes."""

@@ -41,7 +41,7 @@ class RunConfig:
     """Lightning Fabric's names: "32-true", "bf16-mixed", "16-mixed"; the command also knows
     "auto", see `native_precision`."""
     workers: int = 0
-    """Processes that load data, each."""
+    """Processes that load data, each; and that measure the motion of clips on a CPU."""
     checkpoint_seconds: float = 120.0
     """Longest work that a kill can lose."""
     log_every: int = 10

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Train the motion side on 66 minutes of phantom and measure what it claims: codes, hearing, FGD and
+# Train the motion side on 116 minutes of phantom and measure what it claims: codes, hearing, FGD and
 # beats against baselines, the paper's ablations, calm in silence, long sound.
 #   bash scripts/prove_motion.sh WORK RENDERER     hours on one core; run again, it goes on
 # RENDERER is a bundle with a trained renderer (lite, 20 regions); its regions are used as they are.
@@ -16,16 +16,16 @@ read -ra python <<<"${PYTHON:-python}"
 set="$work/set"
 settings=(
   'train_renderer.initial=""' 'train_renderer.teacher=""'
-  vq.restart_below=0.1 train_vq.warmup=0.25 train_vq.summed=0.3 train_vq.summed_norm=square
-  "train_vq.schedule.milestones=[350,450]" train_vq.checks=5
+  vq.restart_below=0.1 train_vq.stride=5 train_vq.warmup=0.15 train_vq.summed=0.3 train_vq.summed_norm=square
+  "train_vq.schedule.milestones=[375,460]" train_vq.checks=6
   gpt.joint=true train_gpt.schedule.rate=1e-3 "train_gpt.schedule.milestones=[400]"
-  train_gpt.stride=8 train_gpt.checks=12 train_gpt.patience=4
+  train_gpt.stride=8 train_gpt.checks=18 train_gpt.patience=4
   refiner.hidden=128 train_refiner.velocity=20 train_refiner.stride=16 train_refiner.checks=5
   train_refiner.schedule.rate=2e-3 "train_refiner.schedule.milestones=[80]"
   generation.window.move=hop generation.decode=auto generation.sampling.calm=true
 )
 joint=(
-  train_vq.schedule.most_steps=2500 train_gpt.schedule.most_steps=800
+  train_vq.schedule.most_steps=6000 train_gpt.schedule.most_steps=1200
   train_refiner.schedule.most_steps=1500
 )
 single=(
@@ -38,7 +38,7 @@ variant=(
 )
 
 mkdir -p "$work"
-[ -d "$work/raw" ] || "${angie[@]}" phantom -o "$work/raw" --minutes 66 --seed 1
+[ -d "$work/raw" ] || "${angie[@]}" phantom -o "$work/raw" --minutes 116 --seed 1
 [ -d "$set" ] || "${angie[@]}" prepare "$work/raw" -o "$set"
 
 copied() { # BUNDLE: the renderer and the motion of the set, nothing learnt

@@ -34,7 +34,9 @@ def train(
     precision: Annotated[
         str, typer.Option(help="Of the renderer: auto, 32-true, bf16-mixed or 16-mixed.")
     ] = "auto",
-    workers: Annotated[int, typer.Option(min=0, help="Processes that load data.")] = 0,
+    workers: Annotated[
+        int, typer.Option(min=0, help="Processes that load data and, on a CPU, measure motion.")
+    ] = 0,
     force: Force = False,
 ) -> None:
     """Train a speaker bundle: renderer, motion, VQ, GPT, refiner."""

@@ -1,0 +1,25 @@
+import torch
+
+from angie.extraction import extract_dataset
+from angie.motion import read_motion
+
+
+def test_processes_measure_what_one_does(dataset, bundle, tmp_path):
+    estimator = bundle.renderer().estimator
+    for jobs in (0, 2):
+        extract_dataset(dataset, estimator, tmp_path / f"{jobs}", "mine", jobs=jobs)
+    for clip in dataset.clips():
+        one, two = (read_motion(tmp_path / f"{jobs}" / f"{clip.id}.npz", "mine") for jobs in (0, 2))
+        assert torch.allclose(one.vector(), two.vector(), atol=1e-5)
+        assert one.frames == clip.n_frames
+
+
+def test_measured_clips_are_kept_unless_another_estimator_measured_them(dataset, bundle, tmp_path):
+    estimator = bundle.renderer().estimator
+    extract_dataset(dataset, estimator, tmp_path, "mine")
+    path = tmp_path / f"{dataset.clips()[0].id}.npz"
+    before = path.stat().st_mtime_ns
+    extract_dataset(dataset, estimator, tmp_path, "mine", jobs=2)
+    assert path.stat().st_mtime_ns == before
+    extract_dataset(dataset, estimator, tmp_path, "another's")
+    assert path.stat().st_mtime_ns > before
