@@ -112,10 +112,11 @@ def _lite() -> Preset:
             warmup_steps=3000,
         ),
         train_vq=VQTraining(
-            schedule=Schedule(rate=1e-3, milestones=(350, 450), most_steps=4000),
+            schedule=Schedule(rate=1e-3, milestones=(375, 460), most_steps=6000),
+            stride=5,
             summed=0.3,
             summed_norm="square",
-            warmup=0.25,
+            warmup=0.15,
         ),
         train_gpt=GPTTraining(
             schedule=Schedule(rate=1e-3, milestones=(400,), most_steps=1500), stride=8, checks=30

@@ -4,7 +4,7 @@
 # Regions and masks are taught the joints of 16 phantoms first (see teach_renderer.py), a slim
 # renderer is trained with them, then the deep one: 1800 steps in which the regions learn without
 # labels on 20 minutes of four phantoms, 1200 in which they rest on 70 minutes. Motion is learnt from
-# 66 other minutes, as in prove_motion.sh.
+# 116 other minutes, as in prove_motion.sh.
 set -euo pipefail
 work="${1:?folder to work in}"
 here="$(cd "$(dirname "$0")" && pwd)"
@@ -33,7 +33,7 @@ mkdir -p "$work"
 videos 16 10 16 1
 videos 20 20 4 0
 videos 70 70 4 0
-videos 66 66 4 1
+videos 116 116 4 1
 [ -f "$work/taught.safetensors" ] ||
   python "$here/teach_renderer.py" "$work/raw16" "$work/data16" "$work/taught.safetensors" "${slim[@]}"
 renderer data16 slim "${slim[@]}" train_renderer.initial="$work/taught.safetensors" \
@@ -51,11 +51,11 @@ renderer data70 bundle "${deep[@]}" train_renderer.initial="$work/regions/render
   "train_renderer.milestones=[0.85]" train_renderer.occlusion_cost=0.5 train_renderer.ema=0.99 \
   train_renderer.augmentation.zoom=0.3
 [ -f "$work/bundle/vq.safetensors" ] ||
-  angie train "$work/data66" -o "$work/bundle" --stage vq --resume gpt.joint=true \
-  train_vq.schedule.most_steps=2500 train_vq.checks=5 train_gpt.schedule.most_steps=800 \
-  train_gpt.checks=12 train_gpt.patience=4 train_refiner.checks=5
+  angie train "$work/data116" -o "$work/bundle" --stage vq --resume gpt.joint=true \
+  train_vq.schedule.most_steps=6000 train_vq.checks=6 train_gpt.schedule.most_steps=1200 \
+  train_gpt.checks=18 train_gpt.patience=4 train_refiner.checks=5
 [ -f "$work/bundle/gpt.safetensors" ] ||
-  angie train "$work/data66" -o "$work/bundle" --stage gpt --resume
+  angie train "$work/data116" -o "$work/bundle" --stage gpt --resume
 [ -f "$work/bundle/refiner.safetensors" ] ||
-  angie train "$work/data66" -o "$work/bundle" --stage refiner --resume
+  angie train "$work/data116" -o "$work/bundle" --stage refiner --resume
 python "$here/ship_default.py" "$work/bundle"
