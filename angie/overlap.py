@@ -5,6 +5,11 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+FADE = 16
+"""Frames in which motion that is made in windows of the training length goes from one to the next.
+Where two windows are averaged motion loses what they do not share; with longer fades that comes and
+goes with the windows."""
+
 
 def window_starts(length: int, window: int, hop: int) -> list[int]:
     """First positions of windows that cover `length`; the last one ends exactly there.
@@ -26,14 +31,13 @@ def cross_fade(
     hop: int,
     compute: Callable[[list[int]], Tensor],
     at_once: int = 32,
-    fade: int | None = None,
+    fade: int = FADE,
 ) -> Tensor:
     """Compute windows in groups and blend them with linear ramps.
 
-    Each window is weighted by a triangle that is largest in its middle, or, with `fade`, by one
-    everywhere but in the middle of an overlap, where a window becomes the next within that many
-    frames. Weights are divided by their sum, so windows that agree are reproduced exactly. Memory
-    beside the result does not grow with the length.
+    Each window is weighted by one everywhere but in the middle of an overlap, where a window
+    becomes the next. Weights are divided by their sum, so windows that agree are reproduced
+    exactly. Memory beside the result does not grow with the length.
 
     Args:
         length: frames of the whole sequence, T.
@@ -41,7 +45,7 @@ def cross_fade(
         hop: frames from one window to the next.
         compute: from n first frames to the windows' values (n, window, C).
         at_once: most windows in one call of `compute`.
-        fade: frames of a ramp, in the middle of the overlap; None takes all of the overlap.
+        fade: frames of a ramp, in the middle of the overlap.
 
     Returns:
         (T, C) blended values.
@@ -49,7 +53,6 @@ def cross_fade(
     window = min(window, length)
     starts = window_starts(length, window, min(hop, window))
     place = torch.arange(window, dtype=torch.float32)
-    triangle = torch.minimum(place + 1, window - place)
     total, weight = None, torch.zeros(length, 1)
     for begin in range(0, len(starts), at_once):
         group = starts[begin : begin + at_once]
@@ -57,7 +60,7 @@ def cross_fade(
         if total is None:
             total = torch.zeros(length, values.shape[-1])
         for index, (first, value) in enumerate(zip(group, values, strict=True), begin):
-            ramp = triangle if fade is None else _faded(starts, index, place, fade)
+            ramp = _faded(starts, index, place, fade)
             total[first : first + window] += value * ramp[:, None]
             weight[first : first + window] += ramp[:, None]
     assert total is not None  # window_starts refuses an empty sequence

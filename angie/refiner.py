@@ -15,11 +15,7 @@ from angie.windows import WINDOW
 from data_prep.features import MFCC_COLUMNS, MFCC_ROWS
 
 HOP = WINDOW // 2
-FADE = 16
-"""Long sound is refined in windows of the training length. The middle of each is taken, faded into
-the next within 16 frames: where two windows are averaged motion loses what they do not share, and
-with longer fades that comes and goes with the windows."""
-
+"""Long sound is refined in windows of the training length, of which the middles are kept."""
 
 MFCC_ENCODERS = ("linear", "conv")
 
@@ -188,4 +184,4 @@ class Refiner(nn.Module):
             motion = torch.stack([pattern[at : at + size] for at in starts])
             return self(standard(sound.to(device)), motion.to(device))
 
-        return cross_fade(frames, WINDOW, HOP, compute, fade=FADE)
+        return cross_fade(frames, WINDOW, HOP, compute)

@@ -246,8 +246,9 @@ class VQMotionExtractor(nn.Module):
     ) -> Tensor:
         """Deltas (8S, 5K) on the CPU of one sequence (streams, S), in windows as in training.
 
-        Windows of 12 codes every 6 are decoded by themselves and cross-faded linearly, so that no
-        frame sees more context than in training, and memory does not grow with S.
+        Windows of 12 codes every 6 are decoded by themselves and cross-faded linearly, in the
+        middle of their overlaps, so that no frame sees more context than in training, and memory
+        does not grow with S.
         """
         frames = codes.shape[-1] * FRAMES_PER_TOKEN
         size = min(window, codes.shape[-1])

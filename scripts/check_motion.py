@@ -25,10 +25,12 @@ long      The test sound of one speaker, joined up to 10 minutes, in one run: th
           a channel of the shift over the training range (displacement from the speaker's rest) in
           units of its width; the peak memory of a process that does that and of one that makes a
           minute, and how much of it came on top of the sound and its features; and the seams. At
-          the borders of the GPT's and the refiner's windows speed and its change must be
-          distributed as at the other borders of tokens: two-sample Kolmogorov-Smirnov tests, p of
-          each; a seam shows if the smallest p times the number of tests (Bonferroni) is below
-          0.05.
+          the borders of the GPT's windows, and of the decoder's and the refiner's, speed and its
+          change must be distributed as at the other borders of tokens: two-sample
+          Kolmogorov-Smirnov tests, p of each; a seam shows if the smallest p times the number of
+          tests (Bonferroni) is below 0.05. Six runs count, in which the same sound begins a token
+          later each time, so that every place of the speech is a border in one of them: in a
+          single run borders may by chance lie in livelier speech than other tokens.
 """
 
 import argparse
@@ -72,6 +74,9 @@ SPEECH = QUIET = 10
 
 PAUSE, SETTLED = 1.0, 0.5
 """Seconds without words that make a pause, and of its beginning that do not count."""
+
+HOP_TOKENS = 6
+"""Tokens from one window of the decoder and of the refiner to the next."""
 
 WIDER = 0.1
 """Part of the training range by which motion may leave it."""
@@ -209,10 +214,13 @@ def pauses(data: Dataset, clip: Any) -> NDArray:
     return still
 
 
-def long_sound(data: Dataset, clips: list[MotionClip], minutes: float) -> SpeechFeatures:
-    """Features of the sound of clips, joined and repeated to a length."""
+def long_sound(
+    data: Dataset, clips: list[MotionClip], minutes: float, later: int = 0
+) -> SpeechFeatures:
+    """Features of the sound of clips, joined, begun some tokens later and repeated to a length."""
     known = {clip.id: clip for clip in data.clips("test")}
     sound = np.concatenate([data.sound(known[clip.name]) for clip in clips])
+    sound = np.roll(sound, -later * FRAMES_PER_TOKEN * SAMPLES_PER_FRAME)
     wanted = int(minutes * 60 * SAMPLE_RATE) // SAMPLES_PER_FRAME * SAMPLES_PER_FRAME
     return speech_features(np.resize(sound, wanted))
 
@@ -224,13 +232,14 @@ def borders(generator: AngieGenerator, frames: int) -> dict[str, NDArray]:
     hop = block - generator.config.window.kept(block)
     last = frames // FRAMES_PER_TOKEN
     steps_of = np.arange(block + 1, last, hop) if hop else np.zeros(0, int)
-    return {"gpt": steps_of * FRAMES_PER_TOKEN, "refiner": np.arange(72, frames - 96, 48)}
+    hop, first = HOP_TOKENS * FRAMES_PER_TOKEN, 3 * HOP_TOKENS * FRAMES_PER_TOKEN // 2
+    return {"gpt": steps_of * FRAMES_PER_TOKEN, "refiner": np.arange(first, frames - WINDOW, hop)}
 
 
 def generate_long(
-    dataset: Path, bundle: Path, names: list[str], minutes: float, output: Path
+    dataset: Path, bundle: Path, names: list[str], minutes: float, later: int, output: Path
 ) -> tuple[float, float]:
-    """Write the motion (T, 5K) for long sound of some test clips.
+    """Write the motion (T, 5K) for long sound of some test clips, begun some tokens later.
 
     Returns:
         Peak memory in MB of the process, and how far generation rose above what it held when
@@ -240,7 +249,7 @@ def generate_long(
     data, opened = Dataset(dataset), Bundle.open(bundle)
     motions = opened.train / "motion"
     clips = [clip for clip in read_clips(data, motions, "test") if clip.name in names]
-    speech = long_sound(data, clips, minutes)
+    speech = long_sound(data, clips, minutes, later)
     frames = round(minutes * 60 * FPS)
     before = resident("VmHWM")
     held = resident("VmRSS")
@@ -264,11 +273,16 @@ def long(
     """Range, memory and seams of one long run."""
     statistics, speaker = generator.statistics, test[0].speaker
     own = [clip for clip in test if clip.speaker == speaker]
+    lengths = [(1.0, 0), *((minutes, later) for later in range(HOP_TOKENS))]
     with TemporaryDirectory() as folder, get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
-        out = Path(folder) / "motion.npy"
-        jobs = [(data.path, bundle, [c.name for c in own], m, out) for m in (1.0, minutes)]
-        peak = pool.starmap(generate_long, jobs, chunksize=1)
-        motion = Motion.from_vector(torch.from_numpy(np.load(out)))
+        files = [Path(folder) / f"{i}.npy" for i in range(len(lengths))]
+        jobs = [
+            (data.path, bundle, [clip.name for clip in own], *length, file)
+            for length, file in zip(lengths, files, strict=True)
+        ]
+        peak = pool.starmap(generate_long, jobs, chunksize=1)[:2]
+        runs = [Motion.from_vector(torch.from_numpy(np.load(file))) for file in files[1:]]
+    motion = runs[0]
     split = 2 * statistics.regions
     displaced = [c.motion.vector() - statistics.rest_of(c.speaker) for c in train]
     low = torch.stack([d.amin(0) for d in displaced]).amin(0)
@@ -276,7 +290,6 @@ def long(
     made = motion.vector() - statistics.rest_of(speaker)
     over = torch.maximum(made - high, low - made).amax(0) / (high - low)
     moved = speed(motion, statistics)
-    change = np.abs(np.diff(moved, prepend=moved[0]))
     result: dict[str, Any] = {
         "frames": motion.frames,
         "excess_shift": float(over[:split].max()),
@@ -286,16 +299,26 @@ def long(
         "memory of generation_mb": [own for _, own in peak],
         "first and last minute's speed": [float(moved[:1500].mean()), float(moved[-1500:].mean())],
     }
-    tokens = np.arange(2 * FRAMES_PER_TOKEN, motion.frames, FRAMES_PER_TOKEN)
-    for name, frames_of in borders(generator, motion.frames).items():
+    return result | seams(generator, [speed(run, statistics) for run in runs])
+
+
+def seams(generator: AngieGenerator, speeds: list[NDArray]) -> dict[str, float | None]:
+    """Values of p of the tests on speeds (T,) and their changes at borders of windows."""
+    changes = [np.abs(np.diff(moved, prepend=moved[0])) for moved in speeds]
+    frames = len(speeds[0])
+    tokens = np.arange(2 * FRAMES_PER_TOKEN, frames, FRAMES_PER_TOKEN)
+    found: dict[str, float | None] = {}
+    for name, frames_of in borders(generator, frames).items():
         if len(frames_of):
             others = np.setdiff1d(tokens, frames_of)
-            for kind, values in (("speed", moved), ("change", change)):
-                test_of = stats.ks_2samp(values[frames_of], values[others])
-                result[f"{name}_{kind}_p"] = float(test_of.pvalue)
-    found = [value for key, value in result.items() if key.endswith("_p")]
-    result["seam_p"] = min(1.0, len(found) * min(found)) if found else None
-    return result
+            for kind, runs in (("speed", speeds), ("change", changes)):
+                here, there = (
+                    np.concatenate([values[at] for values in runs]) for at in (frames_of, others)
+                )
+                found[f"{name}_{kind}_p"] = float(stats.ks_2samp(here, there).pvalue)
+                found[f"{name}_{kind}_ratio"] = float(here.mean() / there.mean())
+    tests = [value for name, value in found.items() if name.endswith("_p") and value is not None]
+    return found | {"seam_p": min(1.0, len(tests) * min(tests)) if tests else None}
 
 
 def check(data: Dataset, folder: Path, minutes: float) -> dict[str, Any]:
