@@ -5,10 +5,12 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-FADE = 16
+FADE = 24
 """Frames in which motion that is made in windows of the training length goes from one to the next.
-Where two windows are averaged motion loses what they do not share; with longer fades that comes and
-goes with the windows."""
+
+Where two windows are averaged motion loses what they do not share, and slows down; where one
+becomes the other too fast, what sets them apart moves who is still. Here the two weigh the same.
+"""
 
 
 def window_starts(length: int, window: int, hop: int) -> list[int]:

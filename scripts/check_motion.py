@@ -27,10 +27,12 @@ long      The test sound of one speaker, joined up to 10 minutes, in one run: th
           minute, and how much of it came on top of the sound and its features; and the seams. At
           the borders of the GPT's windows, and of the decoder's and the refiner's, speed and its
           change must be distributed as at the other borders of tokens: two-sample
-          Kolmogorov-Smirnov tests, p of each; a seam shows if the smallest p times the number of
-          tests (Bonferroni) is below 0.05. Six runs count, in which the same sound begins a token
+          Kolmogorov-Smirnov tests, their distance (the largest difference of the two cumulative
+          distributions), p, and the ratio of the medians; `seam_p` is the smallest p times the
+          number of tests (Bonferroni). Six runs count, in which the same sound begins a token
           later each time, so that every place of the speech is a border in one of them: in a
-          single run borders may by chance lie in livelier speech than other tokens.
+          single run borders may by chance lie in livelier speech than other tokens. `one run`
+          tests the first run alone.
 """
 
 import argparse
@@ -299,7 +301,8 @@ def long(
         "memory of generation_mb": [own for _, own in peak],
         "first and last minute's speed": [float(moved[:1500].mean()), float(moved[-1500:].mean())],
     }
-    return result | seams(generator, [speed(run, statistics) for run in runs])
+    speeds = [speed(run, statistics) for run in runs]
+    return result | seams(generator, speeds) | {"one run": seams(generator, speeds[:1])}
 
 
 def seams(generator: AngieGenerator, speeds: list[NDArray]) -> dict[str, float | None]:
@@ -315,8 +318,10 @@ def seams(generator: AngieGenerator, speeds: list[NDArray]) -> dict[str, float |
                 here, there = (
                     np.concatenate([values[at] for values in runs]) for at in (frames_of, others)
                 )
-                found[f"{name}_{kind}_p"] = float(stats.ks_2samp(here, there).pvalue)
-                found[f"{name}_{kind}_ratio"] = float(here.mean() / there.mean())
+                apart = stats.ks_2samp(here, there)
+                found[f"{name}_{kind}_p"] = float(apart.pvalue)
+                found[f"{name}_{kind}_distance"] = float(apart.statistic)
+                found[f"{name}_{kind}_median_ratio"] = float(np.median(here) / np.median(there))
     tests = [value for name, value in found.items() if name.endswith("_p") and value is not None]
     return found | {"seam_p": min(1.0, len(tests) * min(tests)) if tests else None}
 
