@@ -54,13 +54,13 @@ def extract_dataset(
     folder.mkdir(parents=True, exist_ok=True)
     clips = dataset.clips()
     todo = [clip for clip in clips if not _is_done(folder / f"{clip.id}.npz", identity)]
-    if next(estimator.parameters()).device.type != "cpu":
-        jobs = 0
-    threads = max(1, torch.get_num_threads() // max(jobs, 1))
+    on_cpu = next(estimator.parameters()).device.type == "cpu"
+    jobs = max(1, min(jobs, len(todo))) if on_cpu else 1
+    threads = max(1, torch.get_num_threads() // jobs)
     work = partial(_measure, dataset, estimator, folder, identity, batch, threads)
     frames = sum(clip.n_frames for clip in clips)
-    with progress("motion", frames, "frames") as advance:
-        advance(frames - sum(clip.n_frames for clip in todo))
+    before = frames - sum(clip.n_frames for clip in todo)
+    with progress("motion", frames, "frames", done=before) as advance:
         for clip, done in spread(work, todo, jobs):
             if done is None:
                 raise BadInput(f"{dataset.path}: a process died of {clip.id}; take fewer --workers")

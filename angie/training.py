@@ -44,7 +44,7 @@ STAGES = tuple(PART_OF)
 
 HELD_OUT = 10
 """Every so many training clips one is kept from the motion stages to choose weights by, where the
-dataset has no clips for that."""
+split "val" of the dataset has none."""
 
 
 @dataclass
@@ -272,7 +272,8 @@ class Trainer:
     def windows(self, stride: int) -> tuple[MotionWindows, MotionWindows | None]:
         """Training windows, and those of other clips to choose weights by.
 
-        These are of the split "val", or where it has none, of every tenth training clip. The
+        These are of the split "val", or where it has none of this length, every tenth training
+        clip. The
         test split stays out of training altogether.
 
         Args:
@@ -292,8 +293,9 @@ class Trainer:
         return windows, MotionWindows(kept, statistics) if kept else None
 
     def _long_clips(self, split: str) -> list[MotionClip]:
-        """Clips of the bundle's speakers that are as long as a window."""
-        clips = [clip for clip in self.clips(split) if self.wanted(clip)]
+        """Clips, as long as a window, of the speakers whose training clips were measured."""
+        speakers = self.bundle.statistics().speakers
+        clips = [clip for clip in self.clips(split) if clip.speaker in speakers]
         return [clip for clip in clips if clip.motion.frames >= WINDOW]
 
     def how(self, part: str, precision: str = "32-true") -> RunConfig:

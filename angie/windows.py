@@ -73,7 +73,7 @@ class MotionWindows(Dataset[dict[str, Tensor]]):
         rows: dict[str, Tensor] | None = None,
     ) -> None:
         if frames % FRAMES_PER_TOKEN or ("onset" in parts and stride % FRAMES_PER_TOKEN):
-            raise ValueError(f"windows of onsets begin and end on tokens: {frames}, {stride}")
+            raise ValueError(f"windows end, and with onsets begin, on tokens: {frames}, {stride}")
         self.clips, self.statistics, self.parts = clips, statistics, tuple(parts)
         self.frames, self.stride, self.rows = frames, stride, rows or {}
         self.places = [

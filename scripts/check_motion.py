@@ -30,9 +30,9 @@ long      The test sound of one speaker, joined up to 10 minutes, in one run: th
           Kolmogorov-Smirnov tests, their distance (the largest difference of the two cumulative
           distributions), p, and the ratio of the medians; `seam_p` is the smallest p times the
           number of tests (Bonferroni). Six runs count, in which the same sound begins a token
-          later each time, so that every place of the speech is a border in one of them: in a
-          single run borders may by chance lie in livelier speech than other tokens. `one run`
-          tests the first run alone.
+          later each time, so that every place of the speech is a border of decoder and
+          refiner in one of them: in a single run borders may by chance lie in livelier speech
+          than other tokens. `one run` tests the first run alone.
 """
 
 import argparse
@@ -305,12 +305,12 @@ def long(
     return result | seams(generator, speeds) | {"one run": seams(generator, speeds[:1])}
 
 
-def seams(generator: AngieGenerator, speeds: list[NDArray]) -> dict[str, float | None]:
+def seams(generator: AngieGenerator, speeds: list[NDArray]) -> dict[str, Any]:
     """Values of p of the tests on speeds (T,) and their changes at borders of windows."""
     changes = [np.abs(np.diff(moved, prepend=moved[0])) for moved in speeds]
     frames = len(speeds[0])
     tokens = np.arange(2 * FRAMES_PER_TOKEN, frames, FRAMES_PER_TOKEN)
-    found: dict[str, float | None] = {}
+    found: dict[str, Any] = {}
     for name, frames_of in borders(generator, frames).items():
         if len(frames_of):
             others = np.setdiff1d(tokens, frames_of)
@@ -322,7 +322,7 @@ def seams(generator: AngieGenerator, speeds: list[NDArray]) -> dict[str, float |
                 found[f"{name}_{kind}_p"] = float(apart.pvalue)
                 found[f"{name}_{kind}_distance"] = float(apart.statistic)
                 found[f"{name}_{kind}_median_ratio"] = float(np.median(here) / np.median(there))
-    tests = [value for name, value in found.items() if name.endswith("_p") and value is not None]
+    tests = [value for name, value in found.items() if name.endswith("_p")]
     return found | {"seam_p": min(1.0, len(tests) * min(tests)) if tests else None}
 
 

@@ -21,5 +21,9 @@ def test_measured_clips_are_kept_unless_another_estimator_measured_them(dataset,
     before = path.stat().st_mtime_ns
     extract_dataset(dataset, estimator, tmp_path, "mine", jobs=2)
     assert path.stat().st_mtime_ns == before
+    (tmp_path / f"{dataset.clips()[-1].id}.npz").unlink()
+    threads = torch.get_num_threads()
+    extract_dataset(dataset, estimator, tmp_path, "mine", jobs=2)
+    assert torch.get_num_threads() == threads  # for a single clip no process is begun
     extract_dataset(dataset, estimator, tmp_path, "another's")
     assert path.stat().st_mtime_ns > before

@@ -246,3 +246,5 @@ def test_weights_are_chosen_by_the_validation_split_where_there_is_one(model, da
     index.write_text(index.read_text().replace("c3,ada,train", "c3,ada,val"))
     learnt, kept = names(tmp_path / "data")
     assert kept == ["c3"] and len(learnt) == 9 and "c9" in learnt and "c3" not in learnt
+    index.write_text(index.read_text().replace("c5,ada,train", "c5,zoe,val"))
+    assert names(tmp_path / "data")[1] == ["c3"]  # zoe has no style that was learnt
