@@ -1,7 +1,7 @@
 """Training a speaker bundle: renderer, motion, VQ, GPT, refiner, in this order; AVD if asked."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -273,8 +273,7 @@ class Trainer:
         """Training windows, and those of other clips to choose weights by.
 
         These are of the split "val", or where it has none of this length, every tenth training
-        clip. The
-        test split stays out of training altogether.
+        clip. The test split stays out of training altogether.
 
         Args:
             stride: frames from one training window to the next; the others are 32 apart.
@@ -283,7 +282,7 @@ class Trainer:
             BadInput: no clip is as long as a window.
         """
         statistics: MotionStatistics = self.bundle.statistics()
-        clips, kept = (self._long_clips(split) for split in ("train", "val"))
+        clips, kept = (self._long_clips(split, statistics.speakers) for split in ("train", "val"))
         if not clips:
             raise _too_short(self.dataset.path)
         if not kept:
@@ -292,9 +291,8 @@ class Trainer:
         windows = MotionWindows(clips, statistics, stride=stride)
         return windows, MotionWindows(kept, statistics) if kept else None
 
-    def _long_clips(self, split: str) -> list[MotionClip]:
-        """Clips, as long as a window, of the speakers whose training clips were measured."""
-        speakers = self.bundle.statistics().speakers
+    def _long_clips(self, split: str, speakers: Sequence[str]) -> list[MotionClip]:
+        """Clips, as long as a window, of speakers; others have no style that could be learnt."""
         clips = [clip for clip in self.clips(split) if clip.speaker in speakers]
         return [clip for clip in clips if clip.motion.frames >= WINDOW]
 

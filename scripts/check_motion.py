@@ -29,7 +29,8 @@ long      The test sound of one speaker, joined up to 10 minutes, in one run: th
           change must be distributed as at the other borders of tokens: two-sample
           Kolmogorov-Smirnov tests, their distance (the largest difference of the two cumulative
           distributions), p, and the ratio of the medians; `seam_p` is the smallest p times the
-          number of tests (Bonferroni). Six runs count, in which the same sound begins a token
+          number of tests (Bonferroni), and a seam shows if it is below 0.05. Six runs
+          count, in which the same sound begins a token
           later each time, so that every place of the speech is a border of decoder and
           refiner in one of them: in a single run borders may by chance lie in livelier speech
           than other tokens. `one run` tests the first run alone.
