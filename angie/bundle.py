@@ -35,7 +35,7 @@ from angie.packing import pack, product_type
 from angie.presets import Preset, override
 from angie.refiner import Refiner
 from angie.statistics import MotionStatistics
-from angie.vq import VQMotionExtractor
+from angie.vq import VQConfig, VQMotionExtractor
 from data_prep.errors import BadInput
 from data_prep.output import whole_file
 from data_prep.rates import FPS, IMAGE_SIZE
@@ -188,6 +188,10 @@ class Bundle:
         value = {} if section is None else _sizes(getattr(self.preset, section), part)
         if part == "vq" and self.preset.vq.quant == "no_quant":
             value = {**value, "gpt": _sizes(self.preset.gpt, "gpt")}  # holds the transformer too
+        vq = self.preset.vq
+        has_codes = part in ("gpt", "refiner") and vq.quant != "no_quant"
+        if has_codes and vq.context != VQConfig.context:
+            value = {**value, "context": vq.context}  # what the codes mean to them
         return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
     def hash_of(self, part: str) -> str:

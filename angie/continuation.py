@@ -19,7 +19,8 @@ class Window:
         move: "slide" sees the last `block` codes at every step, as Bailando does. Positions
             restart at zero, so every step of a full window is computed whole. "hop" begins a new
             window with the last `context` codes when one is full and reuses all that it computed
-            until that one is full: it sees `context` to `block` codes.
+            until that one is full: it sees `context` to `block` codes, and how fast people move
+            follows how many it sees.
         context: codes that a new window begins with under "hop".
     """
 

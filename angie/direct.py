@@ -49,10 +49,10 @@ class DirectMotion(nn.Module):
         return torch.cat([decoder(part) for decoder, part in parts], dim=-1)
 
     @torch.no_grad()
-    def predict(self, onset: Tensor, speaker: int | None = None) -> Tensor:
+    def predict(self, onset: Tensor, speaker: int | None = None, blend: str = "linear") -> Tensor:
         """Normalised deltas (8S, 5K) on the CPU of any length of sound (S, 426).
 
-        Windows of 12 tokens every 6 are computed by themselves and cross-faded.
+        Windows of 12 tokens are computed by themselves and blended, see `angie.overlap.BLENDS`.
         """
         size = min(WINDOW_TOKENS, len(onset))
         device = self.mean.device
@@ -64,4 +64,4 @@ class DirectMotion(nn.Module):
             return self(sound, who)
 
         frames, window = len(onset) * FRAMES_PER_TOKEN, WINDOW_TOKENS * FRAMES_PER_TOKEN
-        return cross_fade(frames, window, window // 2, compute)
+        return cross_fade(frames, window, compute, blend)

@@ -12,6 +12,8 @@ from angie.direct import DirectMotion
 from angie.drift import MODES, Anchors, activity, bounded, integrate_bounded, remove_mean
 from angie.gpt import CoSpeechGPT
 from angie.motion import Motion, positive, render_floor
+from angie.overlap import BLENDS
+from angie.patterns import encode_whole
 from angie.quantisation import Channels
 from angie.refiner import Refiner
 from angie.sampling import Sampling
@@ -57,8 +59,10 @@ class GenerationConfig:
         sampling: how codes are chosen.
         window: what the GPT sees of long sound.
         bounding: drift bounding, "auto" (above 10 s), "on" or "off".
-        decode: "full" (all codes in one pass), "chunked" (12 codes every 6, cross-faded) or
+        decode: "full" (all codes in one pass), "chunked" (12 codes at a time, blended) or
             "auto": whichever reconstructed long held-out clips better after training.
+        blend: how windows of decoder and refiner are blended, "linear" or "hann"; see
+            `angie.overlap.BLENDS`.
         refine: add the refiner's residuals.
         reanchor: where motion is bounded, fade toward a training pose in pauses.
         smooth: standard deviation, in frames, of a Gaussian over time on the Cholesky factors;
@@ -69,6 +73,7 @@ class GenerationConfig:
     window: Window = field(default_factory=Window)
     bounding: str = "off"
     decode: str = "full"
+    blend: str = "linear"
     refine: bool = True
     reanchor: bool = False
     smooth: float = 0.0
@@ -78,6 +83,8 @@ class GenerationConfig:
             raise ValueError(f"bounding is one of {', '.join(MODES)}, not {self.bounding!r}")
         if self.decode not in DECODINGS:
             raise ValueError(f"decode is one of {', '.join(DECODINGS)}, not {self.decode!r}")
+        if self.blend not in BLENDS:
+            raise ValueError(f"blend is one of {', '.join(BLENDS)}, not {self.blend!r}")
         if self.smooth < 0:
             raise ValueError("smooth is a number of frames, 0 for none")
 
@@ -181,7 +188,8 @@ class AngieGenerator:
         like = speaker if style is None else style
         who = None if like is None else self.statistics.place_of(like)
         if isinstance(self.vq, DirectMotion):
-            delta = self.vq.predict(self.statistics.standard_onset(onset), who)
+            sound = self.statistics.standard_onset(onset)
+            delta = self.vq.predict(sound, who, self.config.blend)
         else:
             delta = self._decode(self._codes(onset, seed, start_codes, who))
         pattern = self._integrate(delta[:frames], first, speaker)
@@ -204,11 +212,7 @@ class AngieGenerator:
         """
         if isinstance(self.vq, DirectMotion):
             return None
-        poses = motion.vector()
-        missing = tokens_covering(len(poses)) * FRAMES_PER_TOKEN - len(poses)
-        poses = torch.cat([poses[:1], poses, poses[-1:].expand(missing, -1)])
-        values = self.channels.normalise(poses)
-        return self.vq.encode(values[None].to(self.vq.mean.device))[0].cpu()
+        return encode_whole(self.vq, motion.vector(), self.channels)
 
     def _codes(
         self, onset: Tensor, seed: int, start_codes: Tensor | None, speaker: int | None = None
@@ -234,7 +238,11 @@ class AngieGenerator:
         assert isinstance(self.vq, VQMotionExtractor)
         codes = codes.to(self.vq.mean.device)
         chunked = self.chunked if self.config.decode == "auto" else self.config.decode == "chunked"
-        return self.vq.decode_chunked(codes) if chunked else self.vq.decode_whole(codes)
+        return (
+            self.vq.decode_chunked(codes, self.config.blend)
+            if chunked
+            else self.vq.decode_whole(codes)
+        )
 
     def _integrate(self, delta: Tensor, start: Tensor, speaker: str | None) -> Tensor:
         """Pattern motion (T, 5K) of normalised deltas.
@@ -257,7 +265,9 @@ class AngieGenerator:
     def _residual(self, mfcc: Tensor, pattern: Tensor) -> Tensor:
         """Residual motion (T, 5K); it grows from zero over the first token."""
         scale = self.statistics.pose_scale
-        residual = self.refiner.refine(mfcc, pattern / scale, self.statistics.standard_mfcc)
+        residual = self.refiner.refine(
+            mfcc, pattern / scale, self.statistics.standard_mfcc, self.config.blend
+        )
         place = torch.arange(len(residual), dtype=torch.float32)
         return residual * scale * (place / FRAMES_PER_TOKEN).clamp_max(1)[:, None]
 

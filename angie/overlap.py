@@ -1,12 +1,22 @@
-"""Long sequences in overlapping windows that fade linearly into one another."""
+"""Long sequences in overlapping windows that fade into one another."""
 
+import math
 from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
+BLENDS = ("linear", "hann")
+"""How windows become one sequence.
+
+"linear": windows every half window, in the middles of whose overlaps one becomes the next.
+"hann": windows every quarter, weighted by a Hann window. The sums of the weights and of their
+squares are then the same at every frame, so that no place of a window shows in the result, at
+twice as many windows. Near both ends of the sequence fewer windows meet.
+"""
+
 FADE = 24
-"""Frames in which motion that is made in windows of the training length goes from one to the next.
+"""Frames in which, under "linear", motion goes from one window to the next.
 
 Where two windows are averaged motion loses what they do not share, and slows down; where one
 becomes the other too fast, what sets them apart moves who is still. Here the two weigh the same.
@@ -30,28 +40,33 @@ def window_starts(length: int, window: int, hop: int) -> list[int]:
 def cross_fade(
     length: int,
     window: int,
-    hop: int,
     compute: Callable[[list[int]], Tensor],
+    blend: str = "linear",
     at_once: int = 32,
     fade: int = FADE,
 ) -> Tensor:
-    """Compute windows in groups and blend them with linear ramps.
+    """Compute windows in groups and blend them, see `BLENDS`.
 
-    Each window is weighted by one everywhere but in the middle of an overlap, where a window
-    becomes the next. Weights are divided by their sum, so windows that agree are reproduced
-    exactly. Memory beside the result does not grow with the length.
+    Weights are divided by their sum, so windows that agree are reproduced exactly. Memory beside
+    the result does not grow with the length.
 
     Args:
         length: frames of the whole sequence, T.
         window: frames of a window; a shorter sequence is one shorter window.
-        hop: frames from one window to the next.
         compute: from n first frames to the windows' values (n, window, C).
+        blend: "linear" or "hann".
         at_once: most windows in one call of `compute`.
-        fade: frames of a ramp, in the middle of the overlap.
+        fade: frames of a linear ramp, in the middle of the overlap.
 
     Returns:
         (T, C) blended values.
+
+    Raises:
+        ValueError: another blend, or nothing to cover.
     """
+    if blend not in BLENDS:
+        raise ValueError(f"blend is one of {', '.join(BLENDS)}, not {blend!r}")
+    hop = window // (2 if blend == "linear" else 4)
     window = min(window, length)
     starts = window_starts(length, window, min(hop, window))
     place = torch.arange(window, dtype=torch.float32)
@@ -62,11 +77,16 @@ def cross_fade(
         if total is None:
             total = torch.zeros(length, values.shape[-1])
         for index, (first, value) in enumerate(zip(group, values, strict=True), begin):
-            ramp = _faded(starts, index, place, fade)
-            total[first : first + window] += value * ramp[:, None]
-            weight[first : first + window] += ramp[:, None]
+            part = _hann(place) if blend == "hann" else _faded(starts, index, place, fade)
+            total[first : first + window] += value * part[:, None]
+            weight[first : first + window] += part[:, None]
     assert total is not None  # window_starts refuses an empty sequence
     return total / weight
+
+
+def _hann(place: Tensor) -> Tensor:
+    """Weights of a window at its places (window,), a Hann window sampled between its zeros."""
+    return torch.sin(math.pi * (place + 0.5) / len(place)).square()
 
 
 def _faded(starts: list[int], index: int, place: Tensor, fade: int) -> Tensor:

@@ -11,6 +11,7 @@ from angie.drift import activity
 from angie.quantisation import Channels
 from angie.vq import VQMotionExtractor
 from angie.windows import WINDOW, MotionWindows
+from data_prep.rates import FRAMES_PER_TOKEN
 
 STREAMS = ("shift", "cholesky")
 """Names of the streams in curves and reports."""
@@ -29,6 +30,39 @@ def encode_windows(vq: VQMotionExtractor, windows: MotionWindows, at_once: int =
 
 
 @torch.no_grad()
+def encode_whole(vq: VQMotionExtractor, poses: Tensor, channels: Channels) -> Tensor:
+    """Codes (streams, S) on the CPU of motion (T, 5K) of any length, in one pass.
+
+    Motion that ends inside a token is continued with stillness.
+    """
+    missing = -len(poses) % FRAMES_PER_TOKEN
+    poses = torch.cat([poses[:1], poses, poses[-1:].expand(missing, -1)])
+    return vq.encode(channels.normalise(poses)[None].to(vq.mean.device))[0].cpu()
+
+
+def encode_clips(vq: VQMotionExtractor, windows: MotionWindows) -> dict[int, Tensor]:
+    """Codes (streams, S) of the clips that windows are of, by the clips' places."""
+    channels = Channels.of(windows.statistics, vq.config.quant)
+    places = sorted({index for index, _ in windows.places})
+    return {i: encode_whole(vq, windows.clips[i].motion.vector(), channels) for i in places}
+
+
+def window_codes(vq: VQMotionExtractor, windows: MotionWindows) -> Tensor:
+    """Codes (n, streams, 12) on the CPU of windows, in the context that `vq` is used in.
+
+    Raises:
+        ValueError: codes of clips, and windows that do not begin on tokens.
+    """
+    if vq.config.context == "window":
+        return encode_windows(vq, windows)
+    if any(first % FRAMES_PER_TOKEN for _, first in windows.places):
+        raise ValueError("codes of clips are of windows that begin on tokens")
+    codes, size = encode_clips(vq, windows), windows.frames // FRAMES_PER_TOKEN
+    tokens = [(index, first // FRAMES_PER_TOKEN) for index, first in windows.places]
+    return torch.stack([codes[index][:, at : at + size] for index, at in tokens])
+
+
+@torch.no_grad()
 def decode_windows(vq: VQMotionExtractor, codes: Tensor, at_once: int = 64) -> Tensor:
     """Normalised deltas (n, T, 5K) on the CPU of codes (n, streams, S)."""
     parts = [vq.decode(group.to(vq.mean.device)).float().cpu() for group in codes.split(at_once)]
@@ -41,10 +75,15 @@ def patterns(
 ) -> Tensor:
     """Normalised pattern motion (n, T, 5K) on the CPU of all windows.
 
-    Of the codes of the true motion; of the sound, for a model without codes.
+    Of the codes of the true motion, in the context that `model` is used in, those of clips
+    decoded in windows that blend linearly; of the sound, for a model without codes.
     """
-    if isinstance(model, VQMotionExtractor):
+    if isinstance(model, VQMotionExtractor) and model.config.context == "window":
         return decode_windows(model, encode_windows(model, windows))
+    if isinstance(model, VQMotionExtractor):
+        codes = encode_clips(model, windows)
+        clips = {i: model.decode_chunked(one.to(model.mean.device)) for i, one in codes.items()}
+        return torch.stack([clips[i][at : at + windows.frames] for i, at in windows.places])
     heard, device = windows.choose(["onset", "speaker"]), model.mean.device
     parts = []
     for first in range(0, len(windows), at_once):
@@ -63,7 +102,7 @@ def mean_for_activity(decoded: Iterable[Tensor]) -> Tensor:
 
 
 def reconstruction(vq: VQMotionExtractor, windows: MotionWindows) -> dict[str, float]:
-    """How well the codes of windows give their motion back, and how many codes they use.
+    """How well codes of windows by themselves give the motion back, and how many they use.
 
     Returns:
         `error`, the mean absolute error of the normalised values; `correlation` of the shifts
@@ -113,8 +152,9 @@ def decoding_errors(
 ) -> dict[str, float]:
     """Error of decoding clips longer than a window in one pass and in windows.
 
-    Each clip is encoded window by window, as in training, and its whole sequence of codes is
-    decoded both ways; what is returned is the mean absolute error of the normalised values.
+    Each clip is encoded window by window, or in one pass where `vq` is used in the context of
+    clips, and its whole sequence of codes is decoded both ways; what is returned is the mean
+    absolute error of the normalised values.
 
     Returns:
         `full` and `chunked`; nothing if no clip is longer than a window.
@@ -126,8 +166,11 @@ def decoding_errors(
             continue
         poses = clip.motion[: count * WINDOW].vector()
         values = channels.normalise(torch.cat([poses[:1], poses])).to(vq.mean.device)
-        codes = vq.encode(values.unflatten(0, (count, WINDOW)))  # (count, streams, 12)
-        codes = codes.transpose(0, 1).flatten(1)
+        if vq.config.context == "window":
+            codes = vq.encode(values.unflatten(0, (count, WINDOW)))  # (count, streams, 12)
+            codes = codes.transpose(0, 1).flatten(1)
+        else:
+            codes = vq.encode(values[None])[0]
         for name, decode in (("full", vq.decode_whole), ("chunked", vq.decode_chunked)):
             errors[name].append((decode(codes) - values.cpu()).abs().mean(-1))
     return {name: float(torch.cat(parts).mean()) for name, parts in errors.items() if parts}

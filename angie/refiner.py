@@ -14,9 +14,6 @@ from angie.overlap import cross_fade
 from angie.windows import WINDOW
 from data_prep.features import MFCC_COLUMNS, MFCC_ROWS
 
-HOP = WINDOW // 2
-"""Long sound is refined in windows of the training length, of which the middles are kept."""
-
 MFCC_ENCODERS = ("linear", "conv")
 
 
@@ -162,15 +159,17 @@ class Refiner(nn.Module):
         mfcc: Tensor,
         pattern: Tensor,
         standard: Callable[[Tensor], Tensor] = lambda mfcc: mfcc,
+        blend: str = "linear",
     ) -> Tensor:
-        """Residuals of a sequence of any length, in windows of 96 frames every 48.
+        """Residuals of a sequence of any length, in overlapping windows of 96 frames.
 
-        The LSTMs start anew in each window, as in training; residuals are cross-faded over 16.
+        The LSTMs start anew in each window, as in training.
 
         Args:
             mfcc: (T, 28, 12).
             pattern: (T, 5K) in units of the pose scale.
             standard: standardises MFCC windows (n, 96, 28, 12), a few at a time.
+            blend: how residuals of windows become those of all, see `angie.overlap.BLENDS`.
 
         Returns:
             (T, 5K) residuals in units of the pose scale, on the CPU.
@@ -184,4 +183,4 @@ class Refiner(nn.Module):
             motion = torch.stack([pattern[at : at + size] for at in starts])
             return self(standard(sound.to(device)), motion.to(device))
 
-        return cross_fade(frames, WINDOW, HOP, compute)
+        return cross_fade(frames, WINDOW, compute, blend)

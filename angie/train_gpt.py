@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from angie.gpt import CoSpeechGPT, GPTConfig
-from angie.patterns import encode_windows
+from angie.patterns import window_codes
 from angie.schedule import BestWeights, Schedule
 from angie.vq import VQMotionExtractor
 from angie.windows import STRIDE, MotionWindows, check_stride
@@ -114,7 +114,7 @@ def train_gpt(
 
 def code_windows(vq: VQMotionExtractor, windows: MotionWindows) -> MotionWindows:
     """Windows with `onset` (12, 426), `speaker` and their `codes` (streams, 12)."""
-    return windows.choose(["onset", "speaker"], codes=encode_windows(vq, windows))
+    return windows.choose(["onset", "speaker"], codes=window_codes(vq, windows))
 
 
 def cross_entropy(gpt: CoSpeechGPT, windows: MotionWindows) -> float:

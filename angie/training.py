@@ -10,6 +10,7 @@ from lightning_fabric import Fabric
 
 from angie.bundle import OPTIONAL, STAGE_OF, TRAIN, UPSTREAM, Bundle
 from angie.clips import MotionClip, read_clips
+from angie.direct import DirectMotion
 from angie.extraction import extract_dataset
 from angie.keypoints import INDEX, KeypointClip, KeypointDataset
 from angie.motion import Motion, read_motion
@@ -184,9 +185,24 @@ class Trainer:
         )
         self.publish("vq", vq.state_dict, **vq_report(vq, windows, held_out))
 
+    def extractor(self) -> VQMotionExtractor | DirectMotion:
+        """The VQ motion extractor, or what stands in its place.
+
+        Raises:
+            BadInput: its mean and its way of decoding were measured in another context.
+        """
+        vq, report = self.bundle.vq(), self.bundle.manifest["parts"]["vq"]["report"]
+        context = self.bundle.preset.vq.context
+        if isinstance(vq, VQMotionExtractor) and report.get("context", "window") != context:
+            raise BadInput(
+                f"{self.bundle.folder}: the codes were not measured for vq.context={context}; "
+                "--stage vq --resume does that"
+            )
+        return vq
+
     def gpt(self) -> None:
         """Train the co-speech GPT on the codes of the VQ motion extractor."""
-        preset, vq = self.bundle.preset, self.bundle.vq()
+        preset, vq = self.bundle.preset, self.extractor()
         assert isinstance(vq, VQMotionExtractor)  # without codes there is no such stage
         windows, held_out = self.windows(preset.train_gpt.stride)
         gpt = train_gpt(
@@ -204,7 +220,7 @@ class Trainer:
 
     def refiner(self) -> None:
         """Train the refiner on the patterns of the VQ motion extractor."""
-        preset, vq = self.bundle.preset, self.bundle.vq()
+        preset, vq = self.bundle.preset, self.extractor()
         windows, held_out = self.windows(preset.train_refiner.stride)
         refiner = train_refiner(
             self.bundle.train,

@@ -27,6 +27,10 @@ HALVINGS = FRAMES_PER_TOKEN.bit_length() - 1
 """Strided convolutions that make one token of 8 frames."""
 
 
+CONTEXTS = ("window", "clip")
+"""What a code is read from: a window by itself, or all of its clip."""
+
+
 @dataclass(frozen=True)
 class VQConfig:
     """Architecture of the VQ motion extractor; the defaults are the paper's.
@@ -42,6 +46,10 @@ class VQConfig:
         quant: what is quantised, "full" or a variant of the paper's Table 3; see
             `angie.quantisation`.
         streams: 2 are shift and Cholesky factor, 1 is shift alone (keypoints).
+        context: what GPT and refiner learn: codes of windows by themselves, as in the paper, or
+            "clip", of whole clips in one pass. A code depends on all of its window and on the
+            zeros that pad it: those at its ends are of another kind than those in the middle,
+            and the GPT, which learns both, would put them in the middle of long sound.
     """
 
     regions: int = 20
@@ -53,10 +61,13 @@ class VQConfig:
     restart_below: float = 1.0
     quant: str = field(default="full", metadata={"later": True})
     streams: int = field(default=2, metadata={"later": True})
+    context: str = field(default="window", metadata={"later": True, "of": "gpt"})
 
     def __post_init__(self) -> None:
         if self.quant not in QUANTS:
             raise ValueError(f"quant is one of {', '.join(QUANTS)}, not {self.quant!r}")
+        if self.context not in CONTEXTS:
+            raise ValueError(f"context is one of {', '.join(CONTEXTS)}, not {self.context!r}")
         if self.streams not in (1, 2):
             raise ValueError(f"there are 1 or 2 streams of codes, not {self.streams}")
         if min(self.regions, self.width, self.codes, self.code_width) < 1:
@@ -241,25 +252,26 @@ class VQMotionExtractor(nn.Module):
             parts.append(deltas[: BLOCK * FRAMES_PER_TOKEN].float().cpu())
         return torch.cat(parts)
 
-    def decode_chunked(
-        self, codes: Tensor, window: int = WINDOW_TOKENS, hop: int = WINDOW_TOKENS // 2
-    ) -> Tensor:
+    def decode_chunked(self, codes: Tensor, blend: str = "linear") -> Tensor:
         """Deltas (8S, 5K) on the CPU of one sequence (streams, S), in windows as in training.
 
-        Windows of 12 codes every 6 are decoded by themselves and cross-faded linearly, in the
-        middle of their overlaps, so that no frame sees more context than in training, and memory
-        does not grow with S.
+        Windows of 12 codes are decoded by themselves and blended, see `angie.overlap.BLENDS`, so
+        that no frame sees more context than in training, and memory does not grow with S.
         """
-        frames = codes.shape[-1] * FRAMES_PER_TOKEN
-        size = min(window, codes.shape[-1])
+        frames, window = codes.shape[-1] * FRAMES_PER_TOKEN, WINDOW_TOKENS * FRAMES_PER_TOKEN
+        size = min(WINDOW_TOKENS, codes.shape[-1])
 
         def compute(starts: list[int]) -> Tensor:
             first = [start // FRAMES_PER_TOKEN for start in starts]
             return self.decode(torch.stack([codes[:, at : at + size] for at in first]))
 
-        return cross_fade(frames, size * FRAMES_PER_TOKEN, hop * FRAMES_PER_TOKEN, compute)
+        return cross_fade(frames, window, compute, blend)
 
     def start_codes(self, window: int = WINDOW_TOKENS) -> Tensor:
-        """Codes (streams,) of a person who does not move: the first of a window of zero deltas."""
+        """Codes (streams,) of a person who does not move.
+
+        The first of a window of zero deltas; in the context of clips the middle one.
+        """
         frames, channels = window * FRAMES_PER_TOKEN, sum(self.config.channels)
-        return self.encode(torch.zeros(1, frames, channels, device=self.mean.device))[0, :, 0]
+        place = 0 if self.config.context == "window" else window // 2
+        return self.encode(torch.zeros(1, frames, channels, device=self.mean.device))[0, :, place]

@@ -84,12 +84,12 @@ def uncached(gpt: CoSpeechGPT, onset: torch.Tensor, sampling: Sampling) -> torch
 
 
 def generator_of(name: str) -> AngieGenerator:
-    """A generator of a preset's sizes with random weights."""
+    """A generator of a preset's sizes with random weights, decoding as the shipped bundle does."""
     sizes, statistics = preset(name), Bundle.open(BUNDLE).statistics()
     torch.manual_seed(0)
     vq, refiner = VQMotionExtractor(sizes.vq), Refiner(sizes.refiner)
     gpt = CoSpeechGPT(sizes.gpt)
-    return AngieGenerator(vq, gpt, refiner, statistics, sizes.generation)
+    return AngieGenerator(vq, gpt, refiner, statistics, sizes.generation, chunked=True)
 
 
 def rates(generator: AngieGenerator, precision: str) -> None:

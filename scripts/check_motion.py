@@ -33,7 +33,8 @@ long      The test sound of one speaker, joined up to 10 minutes, in one run: th
           count, in which the same sound begins a token
           later each time, so that every place of the speech is a border of decoder and
           refiner in one of them: in a single run borders may by chance lie in livelier speech
-          than other tokens. `one run` tests the first run alone.
+          than other tokens. Each run has a seed of its own; with one seed for all, the same
+          chance would move all of them at one step. `one run` tests the first run alone.
 """
 
 import argparse
@@ -78,8 +79,11 @@ SPEECH = QUIET = 10
 PAUSE, SETTLED = 1.0, 0.5
 """Seconds without words that make a pause, and of its beginning that do not count."""
 
-HOP_TOKENS = 6
-"""Tokens from one window of the decoder and of the refiner to the next."""
+HOP_TOKENS = {"linear": 6, "hann": 3}
+"""Tokens from one window of the decoder and of the refiner to the next, by how they blend."""
+
+RUNS = 6
+"""Runs of long sound, each begun a token later: once or twice through the windows."""
 
 WIDER = 0.1
 """Part of the training range by which motion may leave it."""
@@ -229,13 +233,19 @@ def long_sound(
 
 
 def borders(generator: AngieGenerator, frames: int) -> dict[str, NDArray]:
-    """Frames at which one window becomes the next in long sound, by what has windows."""
+    """Frames at which one window becomes the next in long sound, by what has windows.
+
+    Of the GPT these are the first frames of codes that are the first of a new window; a window
+    that slides has none. Of decoder and refiner, where both windows weigh the same (linear), or
+    where one begins (hann).
+    """
     assert generator.gpt is not None
-    block = generator.gpt.config.block
-    hop = block - generator.config.window.kept(block)
+    block, blend = generator.gpt.config.block, generator.config.blend
+    kept = generator.config.window.kept(block)
     last = frames // FRAMES_PER_TOKEN
-    steps_of = np.arange(block + 1, last, hop) if hop else np.zeros(0, int)
-    hop, first = HOP_TOKENS * FRAMES_PER_TOKEN, 3 * HOP_TOKENS * FRAMES_PER_TOKEN // 2
+    steps_of = np.arange(block + 1, last, block - kept + 1) if kept < block else np.zeros(0, int)
+    hop = HOP_TOKENS[blend] * FRAMES_PER_TOKEN
+    first = 3 * hop // 2 if blend == "linear" else WINDOW
     return {"gpt": steps_of * FRAMES_PER_TOKEN, "refiner": np.arange(first, frames - WINDOW, hop)}
 
 
@@ -243,6 +253,8 @@ def generate_long(
     dataset: Path, bundle: Path, names: list[str], minutes: float, later: int, output: Path
 ) -> tuple[float, float]:
     """Write the motion (T, 5K) for long sound of some test clips, begun some tokens later.
+
+    That number is the seed, too.
 
     Returns:
         Peak memory in MB of the process, and how far generation rose above what it held when
@@ -257,7 +269,8 @@ def generate_long(
     before = resident("VmHWM")
     held = resident("VmRSS")
     Path("/proc/self/clear_refs").write_text("5")  # the peak counts from here
-    motion = opened.generator().generate(speech, clips[0].motion[:1], frames, 0, clips[0].speaker)
+    generator, start = opened.generator(), clips[0].motion[:1]
+    motion = generator.generate(speech, start, frames, later, clips[0].speaker)
     np.save(output, motion.vector().numpy())
     during = resident("VmHWM")
     return max(before, during), during - held
@@ -276,7 +289,7 @@ def long(
     """Range, memory and seams of one long run."""
     statistics, speaker = generator.statistics, test[0].speaker
     own = [clip for clip in test if clip.speaker == speaker]
-    lengths = [(1.0, 0), *((minutes, later) for later in range(HOP_TOKENS))]
+    lengths = [(1.0, 0), *((minutes, later) for later in range(RUNS))]
     with TemporaryDirectory() as folder, get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
         files = [Path(folder) / f"{i}.npy" for i in range(len(lengths))]
         jobs = [

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from angie.bundle import PARTS, Bundle, _sizes, halve, load_weights
-from angie.presets import preset
+from angie.presets import override, preset
 from angie.summary import describe
 from angie.training import train
 from data_prep.errors import BadInput
@@ -172,6 +172,20 @@ def test_a_setting_of_another_part_does_not_count():
 
     assert _sizes(Shared(4), "renderer") == {"width": 8}
     assert _sizes(Shared(4), "avd") == {"width": 4}
+
+
+def test_gpt_and_refiner_alone_depend_on_the_context_of_codes(copy):
+    before, after = Bundle.open(copy), Bundle.open(copy)
+    after.preset = override(after.preset, {"vq": {"context": "clip"}})
+    changed = [part for part in PARTS if before.sizes_of(part) != after.sizes_of(part)]
+    assert changed == ["gpt", "refiner"]
+
+
+def test_codes_measured_in_another_context_are_refused(dataset, bundle, tmp_path):
+    folder = tmp_path / "bundle"
+    shutil.copytree(bundle.folder, folder)
+    with pytest.raises(BadInput, match="not measured for vq.context=clip; --stage vq --resume"):
+        train(dataset.path, folder, changes={"vq": {"context": "clip"}}, stage="gpt", resume=True)
 
 
 def test_the_motion_of_one_speaker_alone(dataset, bundle, tmp_path):

@@ -1,9 +1,12 @@
 import dataclasses
+import runpy
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from angie.continuation import Window
 from angie.direct import DirectMotion
 from angie.drift import activity
 from angie.generator import AngieGenerator, GenerationConfig, voiced_tokens
@@ -189,6 +192,21 @@ def test_windows_of_codes_can_be_decoded_by_themselves(generator, speech, start)
     assert chunked.generate(speech, start, 275).frames == 275
 
 
+def test_the_blend_reaches_decoder_and_refiner(generator, speech, start, monkeypatch):
+    asked = []
+
+    def blended(frames, window, compute, blend):
+        asked.append(blend)
+        return torch.zeros(frames, 20)
+
+    for module in ("vq", "refiner"):
+        monkeypatch.setattr(f"angie.{module}.cross_fade", blended)
+    configured(generator, decode="chunked", blend="hann").generate(speech, start, 200)
+    assert asked == ["hann", "hann"]
+    with pytest.raises(ValueError, match="blend is one of linear, hann, not 'Hann'"):
+        GenerationConfig(blend="Hann")
+
+
 def test_seed_codes_begin_the_sequence(generator, speech, start):
     onset = torch.as_tensor(speech.onset)
     begin = torch.tensor([[1, 2, 3], [4, 5, 6]])
@@ -315,3 +333,26 @@ def test_points_without_extent(generator, clips):
     assert made.generate(points[0].features, points[0].motion[:1], 250, speaker="ada").frames == 250
     with pytest.raises(ValueError, match="not trained on one another"):
         dataclasses.replace(made, gpt=generator.gpt)
+
+
+@pytest.mark.parametrize("context", [3, 6])
+def test_windows_of_the_gpt_begin_where_seams_are_looked_for(
+    generator, speech, monkeypatch, context
+):
+    path = Path(__file__).parents[2] / "scripts" / "check_motion.py"
+    borders = runpy.run_path(str(path))["borders"]
+    hopping = configured(generator, window=Window("hop", context))
+    assert hopping.gpt is not None
+    seen, advance = [], hopping.gpt.advance
+
+    def watched(codes, *rest):
+        seen.append(codes.shape[-1])
+        return advance(codes, *rest)
+
+    monkeypatch.setattr(hopping.gpt, "advance", watched)
+    onset = torch.as_tensor(speech.onset)
+    hopping._codes(onset, 0, None)
+    begun = [step for step, codes in enumerate(seen, 1) if codes > 1]
+    assert len(begun) > 1 and (borders(hopping, 8 * len(onset))["gpt"] / 8).tolist() == begun
+    sliding = configured(generator, window=Window("slide"))
+    assert len(borders(sliding, 8 * len(onset))["gpt"]) == 0

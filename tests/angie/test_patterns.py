@@ -1,9 +1,20 @@
+import copy
+import dataclasses
 import math
 
 import pytest
 import torch
 
-from angie.patterns import correlation, decoding_errors, perplexity, reconstruction
+from angie.patterns import (
+    correlation,
+    decoding_errors,
+    encode_whole,
+    encode_windows,
+    patterns,
+    perplexity,
+    reconstruction,
+    window_codes,
+)
 from angie.quantisation import Channels
 from angie.reports import vq_report
 from angie.vq import VQConfig, VQMotionExtractor
@@ -16,6 +27,14 @@ def vq() -> VQMotionExtractor:
     vq = VQMotionExtractor(VQConfig(regions=4, width=8, codes=16, code_width=8)).train()
     vq(torch.randn(8, 96, 20))
     return vq.eval()
+
+
+@pytest.fixture(scope="module")
+def of_clips(vq) -> VQMotionExtractor:
+    """The same weights, used in the context of clips."""
+    other = copy.deepcopy(vq)
+    other.config = dataclasses.replace(vq.config, context="clip")
+    return other
 
 
 def test_perplexity_of_known_codes():
@@ -59,3 +78,37 @@ def test_the_report_names_the_frequent_pairs(vq, clips, statistics):
     counts = [count for *_, count in report["pairs"]]
     assert counts == sorted(counts, reverse=True) and sum(counts) <= 12 * len(windows)
     assert "held_out" not in report and report["training"]["error"] > 0
+
+
+def test_codes_of_clips_are_cut_out_of_one_pass(vq, of_clips, clips, statistics):
+    windows = MotionWindows(clips[:2], statistics, stride=8)
+    codes = window_codes(of_clips, windows)
+    channels = Channels.of(statistics)
+    for row, (index, first) in zip(codes, windows.places, strict=True):
+        whole = encode_whole(vq, clips[index].motion.vector(), channels)
+        assert whole.shape == (2, 32)  # 250 frames are 31 tokens and 2 frames
+        assert torch.equal(row, whole[:, first // 8 : first // 8 + 12])
+    alone = encode_windows(vq, windows)
+    assert torch.equal(window_codes(vq, windows), alone) and not torch.equal(codes, alone)
+    assert not torch.equal(codes[:, :, 0], alone[:, :, 0])  # where zeros pad a window
+    with pytest.raises(ValueError, match="begin on tokens"):
+        window_codes(of_clips, MotionWindows(clips[:1], statistics, stride=5))
+
+
+def test_patterns_of_clips_are_cut_out_of_what_is_decoded(vq, of_clips, clips, statistics):
+    windows = MotionWindows(clips[:2], statistics, stride=5)  # between tokens too
+    made = patterns(of_clips, windows)
+    assert made.shape == (len(windows), 96, 20)
+    decoded = vq.decode_chunked(encode_whole(vq, clips[1].motion.vector(), Channels.of(statistics)))
+    places = [place for place, (index, _) in enumerate(windows.places) if index == 1]
+    for place in (places[0], places[3], places[-1]):
+        first = windows.places[place][1]
+        assert torch.equal(made[place], decoded[first : first + 96])
+
+
+def test_in_the_context_of_clips_a_token_counts_once(of_clips, clips, statistics):
+    windows = MotionWindows(clips[:3], statistics, stride=5)
+    pairs = vq_report(of_clips, windows, None)["pairs"]
+    assert sum(count for *_, count in pairs) <= 3 * 32
+    errors = decoding_errors(of_clips, clips[:2], Channels.of(statistics))
+    assert set(errors) == {"full", "chunked"}

@@ -1,3 +1,6 @@
+import copy
+import dataclasses
+
 import pytest
 import torch
 
@@ -72,7 +75,13 @@ def test_a_decoded_frame_depends_on_fewer_codes_than_the_halo():
 
 
 def test_start_codes_are_those_of_no_motion(vq):
-    assert torch.equal(vq.start_codes(), vq.encode(torch.zeros(1, 96, 20))[0, :, 0])
+    codes = vq.encode(torch.zeros(1, 96, 20))[0]
+    assert torch.equal(vq.start_codes(), codes[:, 0])
+    other = copy.deepcopy(vq)
+    other.config = dataclasses.replace(vq.config, context="clip")
+    assert torch.equal(other.start_codes(), codes[:, 6])
+    with pytest.raises(ValueError, match="context is one of window, clip, not 'words'"):
+        VQConfig(context="words")
 
 
 def test_the_receptive_field_is_wider_than_a_window():
