@@ -92,13 +92,13 @@ def _lite() -> Preset:
             generator=GeneratorConfig("lite", width=128, bottleneck_blocks=6),
             affine_mode="sym",
         ),
-        vq=VQConfig(width=64, code_width=64, restart_below=0.1),
-        gpt=GPTConfig(width=128, heads=4, layers=4),
+        vq=VQConfig(width=64, code_width=64, restart_below=0.1, context="clip"),
+        gpt=GPTConfig(width=128, heads=4, layers=4, dropout=0.3),
         refiner=RefinerConfig(sound=96, motion=64, hidden=128),
         generation=GenerationConfig(
             bounding="auto",
             decode="auto",
-            window=Window("hop"),
+            blend="hann",
             sampling=Sampling(method="topk", repeat_guard=True, calm=True),
         ),
         train_renderer=RendererTraining(
@@ -123,7 +123,7 @@ def _lite() -> Preset:
         ),
         train_refiner=RefinerTraining(
             schedule=Schedule(
-                rate=2e-3, betas=(0.9, 0.999), epochs=100, milestones=(80,), most_steps=1500
+                rate=2e-3, betas=(0.9, 0.999), epochs=100, milestones=(80,), most_steps=3000
             ),
             stride=16,
             velocity=20.0,

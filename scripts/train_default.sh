@@ -53,7 +53,7 @@ renderer data70 bundle "${deep[@]}" train_renderer.initial="$work/regions/render
 [ -f "$work/bundle/vq.safetensors" ] ||
   angie train "$work/data116" -o "$work/bundle" --stage vq --resume gpt.joint=true \
   train_vq.schedule.most_steps=6000 train_vq.checks=6 train_gpt.schedule.most_steps=1200 \
-  train_gpt.checks=18 train_gpt.patience=4 train_refiner.checks=5
+  train_gpt.checks=18 train_gpt.patience=4 train_refiner.checks=10
 [ -f "$work/bundle/gpt.safetensors" ] ||
   angie train "$work/data116" -o "$work/bundle" --stage gpt --resume
 [ -f "$work/bundle/refiner.safetensors" ] ||
