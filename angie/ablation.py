@@ -32,8 +32,17 @@ from mraa.run import RunConfig
 VARIANTS = ("no_quant", "mu_L", "dmu_L", "mu_dL", "no_cholesky", "no_refine", "full")
 """Rows of the table in the paper's order; `no_cholesky` is of its section 3.2."""
 
-COLUMNS = ("fgd", "bc", "diversity_ha2g", "l1", "perceptual", "aed")
-"""Columns of the paper's Table 3."""
+COLUMNS = (
+    "fgd",
+    "bc",
+    "diversity_ha2g",
+    "l1",
+    "perceptual",
+    "aed",
+    "l1_drawn",
+    "perceptual_drawn",
+)
+"""Columns of the paper's Table 3, and L1 and perceptual distance without the renderer's part."""
 
 MARK = "ablation.json"
 """File of a folder of ablations: what they were made of."""

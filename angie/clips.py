@@ -3,11 +3,14 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from angie.motion import Motion, read_motion
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
-from data_prep.features import SpeechFeatures
-from data_prep.rates import FRAMES_PER_TOKEN
+from data_prep.features import SpeechFeatures, onset_rows
+from data_prep.rates import FPS, FRAMES_PER_TOKEN, SAMPLES_PER_FRAME
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,23 @@ class MotionClip:
                 f"{self.name}: {self.motion.frames} frames of motion but {frames} of sound; "
                 "prepare the dataset again"
             )
+
+
+def begun_later(clip: MotionClip, samples: NDArray, frames: int) -> MotionClip:
+    """A clip without its first frames; tokens are counted from where it begins now.
+
+    Unless `frames` is a multiple of 8, the same motion and sound give other codes and onset rows.
+
+    Args:
+        clip: longer than `frames`.
+        samples: (N,) float32, its sound at 16 kHz.
+        frames: left out.
+    """
+    onset = onset_rows(samples[frames * SAMPLES_PER_FRAME :])
+    times = clip.features.onset_times - np.float32(frames / FPS)
+    features = SpeechFeatures(onset, clip.features.mfcc[frames:], times[times >= 0])
+    motion = clip.motion[frames:]
+    return MotionClip(f"{clip.name}+{frames}", clip.speaker, motion, features)
 
 
 def read_clips(

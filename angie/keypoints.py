@@ -211,6 +211,10 @@ class KeypointDataset:
             made.append(MotionClip(clip.id, clip.speaker, motion, features))
         return made
 
+    def sound(self, name: str) -> NDArray:
+        """Sound (N,) of a clip, float32 mono at 16 kHz."""
+        return read_sound(self._sound_file(name))
+
     def _features(self, name: str) -> SpeechFeatures:
         sound = self._sound_file(name)
         digest = hashlib.sha256(sound.read_bytes()).hexdigest()

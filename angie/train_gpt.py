@@ -25,16 +25,22 @@ class GPTTraining:
         patience: evaluations without improvement after which training stops.
         stride: frames from one training window to the next, a multiple of 8
             (Bailando's GPT takes 8).
+        grids: grids of tokens on which codes and onset features of the training clips are read:
+            1, from the first frame on; with 2, 4 or 8 the clips are learnt once more from every
+            8 / grids-th frame before the ninth. Not in the papers.
     """
 
     schedule: Schedule = field(default_factory=lambda: Schedule(rate=3e-4, milestones=(250, 400)))
     checks: int = 100
     patience: int = 20
     stride: int = STRIDE
+    grids: int = field(default=1, metadata={"later": True})
 
     def __post_init__(self) -> None:
         if min(self.checks, self.patience) < 1:
             raise ValueError("checks and patience must be positive")
+        if self.grids < 1 or FRAMES_PER_TOKEN % self.grids:
+            raise ValueError(f"grids must be 1, 2, 4 or 8, not {self.grids}")
         check_stride(self.stride, FRAMES_PER_TOKEN)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lightning_fabric import Fabric
+from numpy.typing import NDArray
 
 from angie.bundle import OPTIONAL, STAGE_OF, TRAIN, UPSTREAM, Bundle
 from angie.clips import MotionClip, read_clips
@@ -25,7 +26,7 @@ from angie.train_gpt import train_gpt
 from angie.train_refiner import train_refiner
 from angie.train_vq import train_vq
 from angie.vq import VQMotionExtractor
-from angie.windows import WINDOW, MotionWindows
+from angie.windows import WINDOW, MotionWindows, other_grids
 from data_prep.dataset import Clip, Dataset
 from data_prep.errors import BadInput
 from data_prep.output import check_apart
@@ -158,7 +159,7 @@ class Trainer:
         preset = self.bundle.preset
         stride = preset.train_vq.stride
         if preset.vq.quant == "no_quant":
-            windows, held_out = self.windows(preset.train_gpt.stride)
+            windows, held_out = self.windows(preset.train_gpt.stride, preset.train_gpt.grids)
             direct = train_direct(
                 self.bundle.train,
                 windows,
@@ -204,7 +205,7 @@ class Trainer:
         """Train the co-speech GPT on the codes of the VQ motion extractor."""
         preset, vq = self.bundle.preset, self.extractor()
         assert isinstance(vq, VQMotionExtractor)  # without codes there is no such stage
-        windows, held_out = self.windows(preset.train_gpt.stride)
+        windows, held_out = self.windows(preset.train_gpt.stride, preset.train_gpt.grids)
         gpt = train_gpt(
             self.bundle.train,
             vq,
@@ -274,6 +275,12 @@ class Trainer:
             return self.dataset.motion_clips(split)
         return read_clips(self.dataset, self.motion_folder, split, self.motion_identity)
 
+    def sound(self, name: str) -> NDArray:
+        """Sound (N,) of a clip, float32 mono at 16 kHz."""
+        if isinstance(self.dataset, KeypointDataset):
+            return self.dataset.sound(name)
+        return self.dataset.sound(next(c for c in self.dataset.clips() if c.id == name))
+
     def wanted(self, clip: Clip | KeypointClip | MotionClip) -> bool:
         """Whether a clip of the dataset is of the bundle's speakers."""
         return clip.speaker in self.bundle.manifest["speakers"]
@@ -285,7 +292,7 @@ class Trainer:
             for clip in self.dataset.clips(split)
         ]
 
-    def windows(self, stride: int) -> tuple[MotionWindows, MotionWindows | None]:
+    def windows(self, stride: int, grids: int = 1) -> tuple[MotionWindows, MotionWindows | None]:
         """Training windows, and those of other clips to choose weights by.
 
         These are of the split "val", or where it has none of this length, every tenth training
@@ -293,6 +300,7 @@ class Trainer:
 
         Args:
             stride: frames from one training window to the next; the others are 32 apart.
+            grids: of tokens, on which training clips are read (`GPTTraining.grids`).
 
         Raises:
             BadInput: no clip is as long as a window.
@@ -304,6 +312,7 @@ class Trainer:
         if not kept:
             kept = clips[HELD_OUT - 1 :: HELD_OUT]
             clips = [clip for i, clip in enumerate(clips, 1) if i % HELD_OUT]
+        clips = [*clips, *other_grids(clips, self.sound, grids)]
         windows = MotionWindows(clips, statistics, stride=stride)
         return windows, MotionWindows(kept, statistics) if kept else None
 

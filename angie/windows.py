@@ -1,15 +1,17 @@
 """Training windows: 96 frames of motion and the sound that goes with them, every 32 frames."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import Dataset
 
-from angie.clips import MotionClip
+from angie.clips import MotionClip, begun_later
 from angie.drift import activity
 from angie.statistics import MotionStatistics
 from data_prep.errors import BadInput
+from data_prep.progress import progress
 from data_prep.rates import FRAMES_PER_TOKEN
 
 WINDOW = 96
@@ -38,6 +40,33 @@ def check_stride(stride: int, step: int = 1) -> None:
     if stride < 1 or stride % step:
         wanted = f"a multiple of {step} frames" if step > 1 else "at least one frame"
         raise ValueError(f"stride is {wanted}, not {stride}")
+
+
+def other_grids(
+    clips: Sequence[MotionClip], sound: Callable[[str], NDArray], grids: int
+) -> list[MotionClip]:
+    """Clips on other grids of tokens than the one that begins with them.
+
+    Args:
+        clips: as long as a window.
+        sound: gives a clip's sound (N,), float32 at 16 kHz, by its name.
+        grids: 1, 2, 4 or 8, the first one among them.
+
+    Returns:
+        the clips begun 8 / grids frames later, twice as much later, and so on below 8, where
+        they still are as long as a window.
+    """
+    starts = range(FRAMES_PER_TOKEN // grids, FRAMES_PER_TOKEN, FRAMES_PER_TOKEN // grids)
+    if not starts:
+        return []
+    made = []
+    with progress("grids of tokens", len(clips), "clips") as advance:
+        for clip in clips:
+            samples = sound(clip.name)
+            fitting = [first for first in starts if clip.motion.frames - first >= WINDOW]
+            made += [begun_later(clip, samples, first) for first in fitting]
+            advance()
+    return made
 
 
 class MotionWindows(Dataset[dict[str, Tensor]]):

@@ -79,6 +79,11 @@ IMAGES: tuple[Definition, ...] = (
     Definition("l1", "L1", LOW, "", "Mean absolute error of pixels in [0, 1] (MRAA).", 4),
     Definition("perceptual", "Perceptual", LOW, "", "Distance of deep features over an image "
                "pyramid (MRAA); of which network is told with the numbers.", 2),
+    Definition("l1_drawn", "L1 drawn", LOW, "", "The same against what the renderer draws from the "
+               "recorded frames' own regions: the part of the motion, without what the renderer "
+               "cannot draw.", 4),
+    Definition("perceptual_drawn", "Perceptual drawn", LOW, "", "The perceptual distance to these "
+               "drawn frames.", 2),
     Definition("ssim", "SSIM", HIGH, "", "Structural similarity (Wang et al. 2004)."),
     Definition("psnr", "PSNR", HIGH, "dB", "Peak signal-to-noise ratio, mean over frames.", 2),
     Definition("aed", "AED", LOW, "", "Mean absolute difference of identity embeddings (FOMM, "

@@ -13,7 +13,13 @@ from angie.clips import MotionClip
 from angie.evaluation import report
 from angie.evaluation.joints import true_joints
 from angie.evaluation.networks import EvaluationConfig, find_autoencoder, make_frame_judge
-from angie.evaluation.pictures import Driver, FrameJudge, chosen_frames, score_pictures
+from angie.evaluation.pictures import (
+    TRUE_REGIONS,
+    Driver,
+    FrameJudge,
+    chosen_frames,
+    score_pictures,
+)
 from angie.evaluation.rows import (
     Row,
     generated,
@@ -189,15 +195,15 @@ def _images(
 ) -> dict[str, Any]:
     """Image scores of the true regions, of stillness, and of each bundle's reconstruction."""
     about = {
-        "true regions": "Drawn from the regions of the recorded frames: the renderer alone.",
+        TRUE_REGIONS: "Drawn from the regions of the recorded frames: the renderer alone.",
         "motionless": "Drawn from the first pose throughout.",
     }
-    drivers: dict[str, Driver] = {"true regions": lambda clip: clip.motion, "motionless": _held}
+    drivers: dict[str, Driver] = {"motionless": _held}
     for name, bundle in bundles.items():
         drivers[name] = _through_codes(bundle)
         about[name] = "Drawn from its reconstruction: the true motion encoded, decoded, refined."
     frames = sum(len(chosen_frames(c.motion.frames, config.image_stride)) for c in space.test)
-    with progress("image scores", frames * len(drivers), "frames") as advance:
+    with progress("image scores", frames * len(about), "frames") as advance:
         scores = score_pictures(
             judge, data, space.test, drivers, joints, config.image_stride, advance
         )

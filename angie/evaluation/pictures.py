@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from angie.animate import render
 from angie.clips import MotionClip
@@ -16,15 +17,21 @@ from angie.metrics.identity import IdentityNetwork, embed
 from angie.metrics.score import Score
 from angie.motion import Motion, encode_cholesky
 from data_prep.dataset import Clip, Dataset
-from mraa.image_metrics import PerceptualDistance
+from mraa.image_metrics import ImageScores, PerceptualDistance
 from mraa.image_metrics import score as image_scores
 from mraa.renderer import Renderer, from_pixels
 
 AT_ONCE = 8
 """Frames scored together."""
 
+DRAWN = {"l1_drawn": "l1", "perceptual_drawn": "perceptual"}
+"""Scores against frames that are drawn from the true regions, and of which kind each is."""
+
 SCORED_IN = "fp32"
 """Precision of the frames that are scored."""
+
+TRUE_REGIONS = "true regions"
+"""Row of what the renderer draws from the regions of the recorded frames."""
 
 Driver = Callable[[MotionClip], Motion]
 """Gives the motion that is rendered for a clip."""
@@ -52,6 +59,7 @@ class FrameScores:
     """What is gathered over frames; one entry of each list a clip."""
 
     pixels: dict[str, list[NDArray]] = field(default_factory=dict)
+    drawn: dict[str, list[NDArray]] = field(default_factory=dict)
     embeddings: tuple[list[NDArray], list[NDArray]] = field(default_factory=lambda: ([], []))
     detected: tuple[list[NDArray], list[NDArray]] = field(default_factory=lambda: ([], []))
     shifts: tuple[list[NDArray], list[NDArray]] = field(default_factory=lambda: ([], []))
@@ -64,12 +72,15 @@ class FrameScores:
         keys = ("l1", "perceptual", "ssim", "psnr")
         if not self.pixels:
             reason = "no frame has a recorded counterpart"
-            more = ("aed", "akd", "akd_joints", "mkr", "flicker")
+            more = ("aed", "akd", "akd_joints", "mkr", "flicker", *DRAWN)
             return {key: Score.missing(reason) for key in (*keys, *more)}
-        result = {}
-        for key in keys:
-            values = np.concatenate(self.pixels[key])
-            result[key] = Score(float(values.mean()), counts={"frames": len(values)})
+        result = {key: _mean_over_frames(self.pixels[key]) for key in keys}
+        for key in DRAWN:
+            result[key] = (
+                _mean_over_frames(self.drawn[key])
+                if self.drawn
+                else Score.missing("what another system would draw of true regions is not known")
+            )
         result["aed"] = (
             images.aed(*self.embeddings)
             if self.embeddings[0]
@@ -94,6 +105,11 @@ class FrameScores:
             else Score.missing("no two frames in a row", **pairs)
         )
         return result
+
+
+def _mean_over_frames(parts: list[NDArray]) -> Score:
+    values = np.concatenate(parts)
+    return Score(float(values.mean()), counts={"frames": len(values)})
 
 
 def chosen_frames(count: int, stride: int) -> NDArray:
@@ -129,6 +145,7 @@ def compare(
     made: NDArray,
     seen: Motion,
     joints: NDArray | None,
+    drawn: NDArray | None = None,
 ) -> None:
     """Score made frames of one clip and add them to what is gathered.
 
@@ -139,17 +156,15 @@ def compare(
         made: of the same shape.
         seen: regions of the true frames, n.
         joints: (n, J, 2) true joints in pixels; None when unknown.
+        drawn: as `true`, what the renderer draws from the true regions; None for frames of
+            another system.
     """
-    device = next(judge.renderer.parameters()).device
-    for first in range(0, len(made), AT_ONCE):
-        pair = [
-            from_pixels(torch.from_numpy(frames[first : first + AT_ONCE]).to(device))
-            for frames in (made, true)
-        ]
-        batch = image_scores(pair[0], pair[1], judge.perceptual)
+    for batch in _pixel_scores(judge, made, true):
         for key in ("l1", "perceptual", "ssim", "psnr"):
-            values = getattr(batch, key).cpu().double().numpy()
-            gathered.pixels.setdefault(key, []).append(values)
+            gathered.pixels.setdefault(key, []).append(_numbers(getattr(batch, key)))
+    for batch in () if drawn is None else _pixel_scores(judge, made, drawn):
+        for key, kind in DRAWN.items():
+            gathered.drawn.setdefault(key, []).append(_numbers(getattr(batch, kind)))
     if judge.identity is not None:
         for side, frames in zip(gathered.embeddings, (true, made), strict=True):
             side.append(embed(judge.identity, frames))
@@ -162,6 +177,20 @@ def compare(
     pairs = [frames.reshape(-1, 2, *frames.shape[1:]) for frames in (true, made)]
     for a, b in zip(*pairs, strict=True):
         gathered.flicker.append(images.flicker(a / np.float32(255), b / np.float32(255)))
+
+
+def _pixel_scores(judge: FrameJudge, made: NDArray, true: NDArray) -> Iterator[ImageScores]:
+    device = next(judge.renderer.parameters()).device
+    for first in range(0, len(made), AT_ONCE):
+        pair = [
+            from_pixels(torch.from_numpy(frames[first : first + AT_ONCE]).to(device))
+            for frames in (made, true)
+        ]
+        yield image_scores(pair[0], pair[1], judge.perceptual)
+
+
+def _numbers(values: Tensor) -> NDArray:
+    return values.cpu().double().numpy()
 
 
 def score_pictures(
@@ -179,7 +208,7 @@ def score_pictures(
         judge: the networks.
         dataset: holds the recorded frames.
         clips: test clips.
-        drivers: by the name of their row.
+        drivers: by the name of their row; that of `TRUE_REGIONS` comes before them.
         joints: true joints (T, J, 2) of clips, by name, as far as known.
         stride: every so many frames two in a row are scored.
         advance: told the number of frames done.
@@ -187,21 +216,27 @@ def score_pictures(
     Returns:
         scores by row and key.
     """
-    gathered = {name: FrameScores() for name in drivers}
+    gathered = {name: FrameScores() for name in (TRUE_REGIONS, *drivers)}
     stored = {clip.id: clip for clip in dataset.clips()}
     for clip in clips:
         numbers = chosen_frames(clip.motion.frames, stride)
         true, source = read_chosen(dataset, stored[clip.name], numbers)
         seen = pick(clip.motion, numbers)
         known = joints.get(clip.name)
-        for name, driver in drivers.items():
+        part = None if known is None else known[numbers]
+        drawn: NDArray | None = None
+        for name, driver in {TRUE_REGIONS: _recorded, **drivers}.items():
             motion = pick(driver(clip), numbers)
             frames = rendered(judge.renderer, source, clip.motion[:1], motion, SCORED_IN)
             made = np.concatenate(list(frames))
-            part = None if known is None else known[numbers]
-            compare(judge, gathered[name], true, made, seen, part)
+            drawn = made if drawn is None else drawn  # the first ones, of the true regions
+            compare(judge, gathered[name], true, made, seen, part, drawn)
             advance(len(numbers))
     return {name: part.scores() for name, part in gathered.items()}
+
+
+def _recorded(clip: MotionClip) -> Motion:
+    return clip.motion
 
 
 def read_chosen(dataset: Dataset, clip: Clip, numbers: NDArray) -> tuple[NDArray, NDArray]:

@@ -8,7 +8,7 @@ from functools import partial
 import pytest
 import torch
 
-from angie.ablation import VARIANTS, ablate, broken_share, settings_of, table
+from angie.ablation import COLUMNS, VARIANTS, ablate, broken_share, settings_of, table
 from angie.bundle import Bundle
 from angie.cli import main
 from angie.demo import BUNDLE
@@ -189,7 +189,7 @@ def test_the_table_of_hand_made_numbers():
     def score(value):
         return {"mean": value, "interval": None}
 
-    keys = ("fgd", "bc", "diversity_ha2g", "l1", "perceptual", "aed")
+    keys = COLUMNS
     numbers = {
         "definitions": [{"key": key, "title": key.upper(), "digits": 1} for key in keys],
         "spaces": [
@@ -202,7 +202,8 @@ def test_the_table_of_hand_made_numbers():
         ],
     }
     assert table(numbers, {"full": 0.25}).splitlines() == [
-        "|  | FGD | BC | DIVERSITY_HA2G | L1 | PERCEPTUAL | AED | C broken |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
-        "| full | 1.0 | 1.0 | 1.0 | - | - | - | 25.0 % |",
+        "|  | FGD | BC | DIVERSITY_HA2G | L1 | PERCEPTUAL | AED | L1_DRAWN | PERCEPTUAL_DRAWN | "
+        "C broken |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        "| full | 1.0 | 1.0 | 1.0 | - | - | - | - | - | 25.0 % |",
     ]

@@ -232,13 +232,16 @@ def test_clips_that_are_too_short_are_told_with_their_folder(data, tmp_path, cap
 
 
 def test_weights_are_chosen_by_the_validation_split_where_there_is_one(model, data, tmp_path):
-    def names(folder):
+    def names(folder, grids=1):
         joints = KeypointDataset(folder, tmp_path / "cache")
         trainer = Trainer(
             joints, Bundle.open(model), 0, RunConfig(), False, Fabric(accelerator="cpu")
         )
-        return [[clip.name for clip in windows.clips] for windows in trainer.windows(32)]
+        return [[clip.name for clip in windows.clips] for windows in trainer.windows(32, grids)]
 
+    learnt, kept = names(data, grids=2)
+    assert learnt == [*(f"c{n}" for n in range(9)), *(f"c{n}+4" for n in range(9))]
+    assert kept == ["c9"]
     learnt, kept = names(data)
     assert (learnt, kept) == ([f"c{n}" for n in range(9)], ["c9"])  # every tenth
     shutil.copytree(data, tmp_path / "data")

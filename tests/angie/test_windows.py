@@ -1,14 +1,17 @@
 import dataclasses
 
+import numpy as np
 import pytest
 import torch
 
+from angie.clips import begun_later
 from angie.motion import Motion
 from angie.train_gpt import GPTTraining
 from angie.train_refiner import RefinerTraining
 from angie.train_vq import VQTraining
-from angie.windows import MotionWindows
+from angie.windows import MotionWindows, other_grids
 from data_prep.errors import BadInput
+from data_prep.features import onset_rows
 
 PARTS = ("poses", "onset", "mfcc")
 
@@ -75,6 +78,41 @@ def test_still_windows_are_thinned_out(make_clip, statistics):
 
 def _parts(motion):
     return motion.shift, motion.cholesky
+
+
+def test_other_grids_begin_clips_later(make_clip):
+    clips = [make_clip(99, 0), make_clip(250, 1)]
+    sound = np.random.default_rng(0).normal(0, 0.1, 250 * 640).astype(np.float32)
+    asked = []
+
+    def sound_of(name):
+        asked.append(name)
+        return sound
+
+    assert other_grids(clips, sound_of, 1) == [] == asked
+    made = other_grids(clips, sound_of, 4)
+    assert asked == ["ada_0", "ada_1"]
+    # 99 frames hold a window from frame 2 on, none from frame 4 on
+    assert [clip.name for clip in made] == ["ada_0+2", "ada_1+2", "ada_1+4", "ada_1+6"]
+    later, clip = made[2], clips[1]
+    assert torch.equal(later.motion.vector(), clip.motion.vector()[4:])
+    assert np.array_equal(later.features.mfcc, clip.features.mfcc[4:])
+    assert np.array_equal(later.features.onset, onset_rows(sound[4 * 640 :]))
+    assert later.speaker == clip.speaker and len(other_grids(clips, sound_of, 8)) == 10
+
+
+def test_onset_times_count_from_where_a_clip_begins(make_clip):
+    clip = make_clip(250, 0)
+    features = dataclasses.replace(clip.features, onset_times=np.float32([0.1, 0.5, 2.0]))
+    clip = dataclasses.replace(clip, features=features)
+    later = begun_later(clip, np.zeros(250 * 640, np.float32), 6)
+    assert later.features.onset_times.tolist() == pytest.approx([0.26, 1.76])
+
+
+@pytest.mark.parametrize("grids", [0, 3, 16])
+def test_grids_divide_a_token(grids):
+    with pytest.raises(ValueError, match=f"1, 2, 4 or 8, not {grids}"):
+        GPTTraining(grids=grids)
 
 
 def test_the_speaker_of_a_window(clips, statistics):

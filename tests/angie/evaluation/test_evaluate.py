@@ -63,6 +63,14 @@ def test_image_scores_of_the_true_regions_are_best_even_hardly_trained(made):
         assert true[key]["mean"] < still[key]["mean"], key
 
 
+def test_frames_drawn_from_the_true_regions_leave_the_part_of_the_motion_alone(made):
+    _, numbers = made
+    true, still = (row(numbers, n, "images")["scores"] for n in ("true regions", "motionless"))
+    for key in ("l1_drawn", "perceptual_drawn"):
+        assert true[key]["mean"] == 0 < still[key]["mean"]
+    assert 0 < true["l1"]["mean"]  # what the renderer cannot draw is no part of it
+
+
 @pytest.fixture(scope="module")
 def shipped(dataset, phantom_videos, tmp_path_factory):
     output = tmp_path_factory.mktemp("evaluation") / "shipped"
@@ -138,6 +146,7 @@ def test_a_folder_of_videos_is_scored(folder, dataset, bundle, tmp_path):
     assert own["bc"]["runs"][0]["counts"]["without onsets"] == 1
     scores = row(numbers, "system", "images")["scores"]
     assert scores["l1"]["mean"] < 0.02 and scores["psnr"]["mean"] > 30
+    assert scores["l1_drawn"]["mean"] is None and "not known" in scores["l1_drawn"]["reason"]
     assert len(list((output / "videos-0").iterdir())) == 1
 
 
