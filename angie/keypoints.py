@@ -215,14 +215,27 @@ class KeypointDataset:
         """Sound (N,) of a clip, float32 mono at 16 kHz."""
         return read_sound(self._sound_file(name))
 
+    def check_sound(self) -> None:
+        """Read the recordings whose features are not kept yet.
+
+        Raises:
+            BadInput: one that cannot be read.
+        """
+        for clip in self._clips:
+            if not self._kept(clip.id).is_file():
+                self.sound(clip.id)
+
+    def _kept(self, name: str) -> Path:
+        """File of the features of a clip's sound, named after what the recording holds."""
+        digest = hashlib.sha256(self._sound_file(name).read_bytes()).hexdigest()
+        return self.cache / f"{digest[:32]}.npz"
+
     def _features(self, name: str) -> SpeechFeatures:
-        sound = self._sound_file(name)
-        digest = hashlib.sha256(sound.read_bytes()).hexdigest()
-        kept = self.cache / f"{digest[:32]}.npz"
+        kept = self._kept(name)
         if kept.is_file():
             with np.load(kept, allow_pickle=False) as file:
                 return SpeechFeatures(file["onset"], file["mfcc"], file["onset_times"])
-        features = speech_features(read_sound(sound))
+        features = speech_features(self.sound(name))
         self.cache.mkdir(parents=True, exist_ok=True)
         with whole_file(kept, force=True) as part:
             write_features(part, features)

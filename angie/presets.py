@@ -119,7 +119,10 @@ def _lite() -> Preset:
             warmup=0.15,
         ),
         train_gpt=GPTTraining(
-            schedule=Schedule(rate=1e-3, milestones=(400,), most_steps=1500), stride=8, checks=30
+            schedule=Schedule(rate=1e-3, milestones=(400,), most_steps=1800),
+            stride=8,
+            grids=8,
+            checks=30,
         ),
         train_refiner=RefinerTraining(
             schedule=Schedule(

@@ -388,6 +388,7 @@ def train(
         raise _too_short(dataset)  # before hours of the renderer's training, which would do
     if isinstance(data, KeypointDataset):
         preset = None if preset is None else of_points(preset, data.joints())
+        data.check_sound()
     run = run or RunConfig()
     if run.precision == "auto":
         run = replace(run, precision=native_precision(run.device))

@@ -19,23 +19,23 @@ settings=(
   vq.restart_below=0.1 vq.context=clip train_vq.stride=5 train_vq.warmup=0.15 train_vq.summed=0.3 train_vq.summed_norm=square
   "train_vq.schedule.milestones=[375,460]" train_vq.checks=6
   gpt.joint=true gpt.dropout=0.3 train_gpt.schedule.rate=1e-3 "train_gpt.schedule.milestones=[400]"
-  train_gpt.stride=8 train_gpt.checks=18 train_gpt.patience=4
+  train_gpt.stride=8 train_gpt.grids=8 train_gpt.checks=18 train_gpt.patience=4
   refiner.hidden=128 train_refiner.velocity=20 train_refiner.stride=16 train_refiner.checks=10
   train_refiner.schedule.rate=2e-3 "train_refiner.schedule.milestones=[80]"
   generation.window.move=slide generation.decode=auto generation.blend=hann
   generation.sampling.calm=true
 )
 joint=(
-  train_vq.schedule.most_steps=6000 train_gpt.schedule.most_steps=1200
+  train_vq.schedule.most_steps=6000 train_gpt.schedule.most_steps=1800
   train_refiner.schedule.most_steps=3000
 )
 single=(
-  train_vq.schedule.most_steps=2500 train_gpt.schedule.most_steps=300
-  train_refiner.schedule.most_steps=300
+  train_vq.schedule.most_steps=4500 train_gpt.schedule.most_steps=700
+  train_refiner.schedule.most_steps=600
 )
 variant=(
-  train_vq.schedule.most_steps=300 train_gpt.schedule.most_steps=250
-  train_refiner.schedule.most_steps=100
+  train_vq.schedule.most_steps=1500 train_gpt.schedule.most_steps=300 train_gpt.grids=1
+  train_refiner.schedule.most_steps=300
 )
 
 mkdir -p "$work"

@@ -52,7 +52,7 @@ renderer data70 bundle "${deep[@]}" train_renderer.initial="$work/regions/render
   train_renderer.augmentation.zoom=0.3
 [ -f "$work/bundle/vq.safetensors" ] ||
   angie train "$work/data116" -o "$work/bundle" --stage vq --resume gpt.joint=true \
-  train_vq.schedule.most_steps=6000 train_vq.checks=6 train_gpt.schedule.most_steps=1200 \
+  train_vq.schedule.most_steps=6000 train_vq.checks=6 train_gpt.schedule.most_steps=1800 \
   train_gpt.checks=18 train_gpt.patience=4 train_refiner.checks=10
 [ -f "$work/bundle/gpt.safetensors" ] ||
   angie train "$work/data116" -o "$work/bundle" --stage gpt --resume

@@ -231,6 +231,16 @@ def test_clips_that_are_too_short_are_told_with_their_folder(data, tmp_path, cap
     assert not (tmp_path / "model").exists()
 
 
+def test_an_unreadable_recording_leaves_no_bundle(data, tmp_path, capsys):
+    folder = tmp_path / "data"
+    shutil.copytree(data, folder)
+    (folder / "audio" / "c7.wav").write_bytes(b"no sound")
+    arguments = ["-o", tmp_path / "model", "--preset", "tiny", "--device", "cpu", *TINY]
+    status, _, error = call(capsys, "train", folder, *arguments)
+    assert status == 2 and "c7.wav" in error and error.count("\n") == 1
+    assert not (tmp_path / "model").exists()
+
+
 def test_weights_are_chosen_by_the_validation_split_where_there_is_one(model, data, tmp_path):
     def names(folder, grids=1):
         joints = KeypointDataset(folder, tmp_path / "cache")
