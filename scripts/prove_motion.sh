@@ -43,13 +43,22 @@ mkdir -p "$work"
 [ -d "$set" ] || "${angie[@]}" prepare "$work/raw" -o "$set"
 
 copied() { # BUNDLE: the renderer and the motion of the set, nothing learnt
-  [ -f "$work/$1/bundle.json" ] || cp -r "$work/base" "$work/$1"
+  [ -d "$work/$1" ] && return
+  rm -rf "$work/$1.part"
+  cp -r "$work/base" "$work/$1.part"
+  mv "$work/$1.part" "$work/$1"
 }
 learnt() { # BUNDLE SEED SETTINGS...: its motion stages
   for stage in vq gpt refiner; do
     [ -f "$work/$1/$stage.safetensors" ] ||
       "${angie[@]}" train "$set" -o "$work/$1" --stage "$stage" --seed "$2" --resume "${@:3}"
   done
+}
+
+checked() { # NAME BUNDLES...: WORK/NAME.json, once it holds all of them
+  [ -f "$work/$1.json" ] && return
+  "${python[@]}" "$here/check_motion.py" "$set" "${@:2}" -o "$work/$1.part"
+  mv "$work/$1.part" "$work/$1.json"
 }
 
 if [ ! -d "$work/base" ]; then
@@ -74,8 +83,7 @@ for seed in ${SEEDS-0 1 2}; do
   learnt "joint-$seed" "$seed" "${settings[@]}" "${joint[@]}"
   bundles+=("$work/joint-$seed")
 done
-[ -f "$work/check.json" ] ||
-  "${python[@]}" "$here/check_motion.py" "$set" "${bundles[@]}" -o "$work/check.json"
+checked check "${bundles[@]}"
 [ -f "$work/report/results.json" ] ||
   "${angie[@]}" evaluate "$set" "${bundles[@]}" -o "$work/report" --seeds 3 --no-images \
     --fgd-steps 1000
@@ -91,8 +99,9 @@ for name in ${SPEAKERS-adam bella carl dora}; do
   learnt "$name" 0 "${settings[@]}" gpt.joint=false "${single[@]}"
   own+=("$work/$name")
 done
-if [ "${#own[@]}" -gt 0 ] && [ ! -f "$work/check-own.json" ]; then
-  "${python[@]}" "$here/check_motion.py" "$set" "${own[@]}" -o "$work/check-own.json" --minutes 0
-  "${angie[@]}" evaluate "$set" "${own[@]}" -o "$work/report-own" --seeds 3 --no-images \
-    --fgd "$work/report/fgd-0.safetensors" --force
+if [ "${#own[@]}" -gt 0 ]; then
+  checked check-own "${own[@]}" --minutes 0
+  [ -f "$work/report-own/results.json" ] ||
+    "${angie[@]}" evaluate "$set" "${own[@]}" -o "$work/report-own" --seeds 3 --no-images \
+      --fgd "$work/report/fgd-0.safetensors"
 fi
