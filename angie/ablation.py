@@ -133,7 +133,7 @@ def _begin(output: Path, origin: dict[str, Any]) -> None:
     """
     mark = output / MARK
     if mark.is_file():
-        if json.loads(mark.read_text()) != origin:
+        if _read(mark) != origin:
             raise BadInput(f"{output}: holds ablations of other settings; name a new folder")
         return
     if output.is_dir() and any(output.iterdir()):
@@ -142,6 +142,14 @@ def _begin(output: Path, origin: dict[str, Any]) -> None:
     output.mkdir(exist_ok=True)
     with whole_file(mark) as part:
         part.write_text(json.dumps(origin, indent=1) + "\n")
+
+
+def _read(mark: Path) -> Any:
+    """What a mark says; None of one that is damaged."""
+    try:
+        return json.loads(mark.read_text())
+    except (OSError, ValueError):
+        return None
 
 
 def _train(

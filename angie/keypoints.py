@@ -37,6 +37,9 @@ INDEX = "clips.csv"
 COLUMNS = ("clip", "speaker", "split", "fps")
 SPLITS = ("train", "val", "test")
 
+NO_SOUND = (".TextGrid", ".json", ".txt", ".srt", ".vtt", ".ctm")
+"""Endings of files that may lie beside a recording and are none."""
+
 MOST = 1e15
 """Largest coordinate: training is in float32, where the squares of larger ones overflow."""
 
@@ -162,17 +165,22 @@ class KeypointDataset:
         raise BadInput(f"{self.path}: motion/{name}.npy is missing")
 
     def _sound_file(self, name: str) -> Path:
-        paths = sorted((self.path / "audio").glob(f"{glob.escape(name)}.*"))
+        found = sorted((self.path / "audio").glob(f"{glob.escape(name)}.*"))
+        paths = [path for path in found if path.stem == name and path.suffix not in NO_SOUND]
         if not paths:
             raise BadInput(f"{self.path}: audio/{name}.wav is missing")
+        if len(paths) > 1:
+            both = " and ".join(path.name for path in paths[:2])
+            raise BadInput(f"{self.path}: audio holds {both}; leave one recording a clip")
         return paths[0]
 
     @property
     def digest(self) -> str:
-        """Hash of the index and of all motion."""
+        """Hash of the index, of all motion and of all recordings."""
         total = hashlib.sha256((self.path / INDEX).read_bytes())
         for clip in self._clips:
-            total.update(self._motion_file(clip.id).read_bytes())
+            for path in (self._motion_file(clip.id), self._sound_file(clip.id)):
+                total.update(path.read_bytes())
         return total.hexdigest()
 
     def clips(self, split: str | None = None) -> list[KeypointClip]:

@@ -325,6 +325,10 @@ class Trainer:
         """How to run a stage; those of motion are small and stay in float32."""
         upstream = [self.bundle.hash_of(name) for name in self.bundle.upstream(part)]
         words = [part, self.bundle.sizes_of(part), str(self.seed), self.data_digest, *upstream]
+        preset = self.bundle.preset
+        onsets = part == "gpt" or (part == "vq" and preset.vq.quant == "no_quant")
+        if onsets and preset.train_gpt.grids > 1:  # other windows than those of one grid
+            words.append(f"{preset.train_gpt.grids} grids")
         identity = hashlib.sha256(" ".join(words).encode()).hexdigest()
         return replace(self.run, precision=precision, identity=identity)
 

@@ -42,6 +42,7 @@ def test_every_script_has_help(run, name):
         (["compare_renderers.py", "{tmp}", "{tmp}/out", "--only", "lap,depe"], "--only depe: "),
         (["compare_renderers.py", "{tmp}", "{tmp}/out"], "dataset.json"),
         (["check_regions.py", "{tmp}", "{tmp}", "{tmp}"], "dataset.json"),
+        (["check_drift.py", "{tmp}", "{tmp}"], "dataset.json"),
     ],
 )
 def test_bad_input_of_a_script_is_one_line(run, tmp_path, arguments, words):

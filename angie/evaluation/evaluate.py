@@ -12,7 +12,12 @@ from angie.bundle import OPTIONAL, Bundle, source_commit
 from angie.clips import MotionClip
 from angie.evaluation import report
 from angie.evaluation.joints import true_joints
-from angie.evaluation.networks import EvaluationConfig, find_autoencoder, make_frame_judge
+from angie.evaluation.networks import (
+    EvaluationConfig,
+    find_autoencoder,
+    make_frame_judge,
+    stored_autoencoder,
+)
 from angie.evaluation.pictures import (
     TRUE_REGIONS,
     Driver,
@@ -21,6 +26,7 @@ from angie.evaluation.pictures import (
     score_pictures,
 )
 from angie.evaluation.rows import (
+    REFERENCES,
     Row,
     generated,
     ground_truth,
@@ -70,6 +76,8 @@ def evaluate(
     check_apart(output, [dataset, *bundles])
     data = Dataset(dataset)
     groups = _grouped(bundles)
+    if config.fgd is not None:  # told before minutes of work
+        stored_autoencoder(config.fgd, next(iter(groups[0].values())).hash_of("renderer"))
     joints = {} if config.truth is None else true_joints(data, config.truth)
     with whole_folder(output, mark=report.MARK, force=force) as part:
         spaces = []
@@ -105,7 +113,8 @@ def _grouped(folders: Sequence[Path]) -> list[dict[str, Bundle]]:
         for part in bundle.parts:
             if part not in OPTIONAL:
                 bundle.path_of(part)
-        label = name if names.count(name) == 1 else f"{Path(folder).resolve().parent.name}/{name}"
+        single = names.count(name) == 1 and name not in (TRUE_REGIONS, *REFERENCES)
+        label = name if single else f"{Path(folder).resolve().parent.name}/{name}"
         groups.setdefault(bundle.hash_of("renderer"), {})[label] = bundle
     return list(groups.values())
 

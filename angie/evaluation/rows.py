@@ -23,6 +23,9 @@ FADE = 8
 STARTS = ("truth", "pose")
 """How a generator begins: with the first code pair of the truth, or with those of stillness."""
 
+REFERENCES = ("ground truth", "motionless", "mismatched", "nearest audio")
+"""Names of the rows that always stand there."""
+
 
 @dataclass(frozen=True)
 class Performance:

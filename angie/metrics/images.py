@@ -90,7 +90,8 @@ def read_pair(path: Path, name: str) -> tuple[NDArray, NDArray] | None:
         has neither.
 
     Raises:
-        BadInput: unreadable, one of the two alone, not floats, or of different shapes.
+        BadInput: unreadable, one of the two alone, not floats, of different shapes, or embeddings
+            that are not finite.
     """
     names = [f"{side}_{name}" for side in ("real", "made")]
     try:
@@ -108,5 +109,7 @@ def read_pair(path: Path, name: str) -> tuple[NDArray, NDArray] | None:
         raise BadInput(f"{path}: {name} have shapes {real.shape} and {made.shape}")
     if not all(np.issubdtype(values.dtype, np.floating) for values in found):
         raise BadInput(f"{path}: {name} must be floating-point numbers")
+    if name == "embeddings" and not all(np.isfinite(values).all() for values in found):
+        raise BadInput(f"{path}: {name} must be finite numbers")
     frames = min(len(real), len(made))
     return real[:frames], made[:frames]

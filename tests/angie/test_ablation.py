@@ -164,6 +164,12 @@ def test_bad_requests(dataset, bundle, tmp_path):
     shutil.rmtree(bare.folder)
     with pytest.raises(BadInput, match="there are no_quant"):
         run(dataset, bundle, tmp_path / "out", ["half"])
+    torn = tmp_path / "torn"
+    torn.mkdir()
+    (torn / "ablation.json").write_text("{")
+    with pytest.raises(BadInput, match="torn: holds ablations of other settings"):
+        run(dataset, bundle, torn, ["full"])
+    shutil.rmtree(torn)
     (tmp_path / "text").write_text("keep me")
     with pytest.raises(BadInput, match="other files"):
         run(dataset, bundle, tmp_path, ["full"])

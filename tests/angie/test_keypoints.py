@@ -1,5 +1,6 @@
 """Joints in place of regions: a dataset of arrays trained and generated end to end."""
 
+import dataclasses
 import shutil
 import sys
 
@@ -239,6 +240,33 @@ def test_an_unreadable_recording_leaves_no_bundle(data, tmp_path, capsys):
     status, _, error = call(capsys, "train", folder, *arguments)
     assert status == 2 and "c7.wav" in error and error.count("\n") == 1
     assert not (tmp_path / "model").exists()
+
+
+def test_other_grids_are_another_training_of_the_gpt_alone(model, data, tmp_path):
+    bundle = Bundle.open(model)
+    joints = KeypointDataset(data, tmp_path / "cache")
+    trainer = Trainer(joints, bundle, 0, RunConfig(), False, Fabric(accelerator="cpu"))
+    before = [trainer.how(part).identity for part in ("vq", "gpt", "refiner")]
+    training = dataclasses.replace(bundle.preset.train_gpt, grids=4)
+    bundle.preset = dataclasses.replace(bundle.preset, train_gpt=training)
+    after = [trainer.how(part).identity for part in ("vq", "gpt", "refiner")]
+    assert [a == b for a, b in zip(before, after, strict=True)] == [True, False, True]
+
+
+def test_the_recording_of_a_clip_is_the_one_of_its_name(data, tmp_path):
+    folder = tmp_path / "data"
+    shutil.copytree(data, folder)
+    audio = folder / "audio"
+    shutil.copy(audio / "c1.wav", audio / "c0.b.wav")  # of another clip, "c0.b"
+    (audio / "c0.TextGrid").touch()
+    joints = KeypointDataset(folder, tmp_path / "cache")
+    assert np.array_equal(joints.sound("c0"), KeypointDataset(data, tmp_path).sound("c0"))
+    before = joints.digest
+    shutil.copy(audio / "c1.wav", audio / "c0.wav")
+    assert joints.digest != before
+    (audio / "c0.mp3").touch()
+    with pytest.raises(BadInput, match="c0.mp3 and c0.wav; leave one"):
+        joints.sound("c0")
 
 
 def test_weights_are_chosen_by_the_validation_split_where_there_is_one(model, data, tmp_path):

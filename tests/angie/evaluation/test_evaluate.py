@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from angie.demo import BUNDLE
-from angie.evaluation.evaluate import evaluate
+from angie.evaluation.evaluate import _grouped, evaluate
 from angie.evaluation.folder import evaluate_videos
 from angie.evaluation.networks import EvaluationConfig
 from angie.evaluation.pictures import chosen_frames
@@ -69,6 +69,13 @@ def test_frames_drawn_from_the_true_regions_leave_the_part_of_the_motion_alone(m
     for key in ("l1_drawn", "perceptual_drawn"):
         assert true[key]["mean"] == 0 < still[key]["mean"]
     assert 0 < true["l1"]["mean"]  # what the renderer cannot draw is no part of it
+
+
+def test_a_bundle_named_like_a_row_of_reference_is_told_apart(bundle, tmp_path):
+    for name in ("true regions", "mine"):
+        shutil.copytree(bundle.folder, tmp_path / "b" / name)
+    (group,) = _grouped([tmp_path / "b" / "true regions", tmp_path / "b" / "mine"])
+    assert list(group) == ["b/true regions", "mine"]
 
 
 @pytest.fixture(scope="module")

@@ -65,6 +65,13 @@ def test_arrays_that_cannot_be_used_are_refused(tmp_path, arrays, words):
         images.read_pair(path, "points")
 
 
+def test_embeddings_that_are_not_finite_are_refused(tmp_path):
+    path = tmp_path / "clip.npz"
+    np.savez(path, real_embeddings=np.full((3, 4), np.nan), made_embeddings=np.zeros((3, 4)))
+    with pytest.raises(BadInput, match="embeddings must be finite"):
+        images.read_pair(path, "embeddings")
+
+
 def test_triplet_loss_by_hand():
     one = torch.tensor([[1.0, 0.0], [0.0, 1.0]])
     assert triplet_loss(torch.stack([one, one]), 0.2) == 0  # others at squared distance 2
