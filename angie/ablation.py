@@ -92,6 +92,7 @@ def ablate(
         BadInput: an unknown variant, an auto-encoder of other regions, or a folder that holds
             something else.
     """
+    variants = list(dict.fromkeys(variants))  # a row once, however often it is named
     unknown = [name for name in variants if name not in VARIANTS]
     if unknown or not variants:
         raise BadInput(f"--variants {','.join(unknown)}: there are {', '.join(VARIANTS)}")
@@ -100,6 +101,8 @@ def ablate(
     if source.preset.points:
         raise BadInput(f"{bundle}: the ablations are of regions")
     source.path_of("renderer")
+    if not data.clips("test"):  # told before hours of training
+        raise BadInput(f"{dataset}: has no test clips to score the variants on")
     if config is not None and config.fgd is not None:  # told before hours of training
         stored_autoencoder(config.fgd, source.hash_of("renderer"))
     base = override(source.preset, changes or {})

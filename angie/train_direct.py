@@ -15,6 +15,9 @@ from angie.vq import VQConfig
 from angie.windows import MotionWindows
 from mraa.run import Run, RunConfig
 
+AT_ONCE = 4096
+"""Windows whose motion is held at once."""
+
 
 def train_direct(
     folder: Path,
@@ -74,7 +77,9 @@ def train_direct(
         run.log(loss=loss, **errors, **best.scores())
     best.restore()
     direct.eval()
-    direct.mean.copy_(mean_for_activity(patterns(direct, windows).split(64)))
+    places = range(len(windows))
+    parts = (windows.chosen(places[i : i + AT_ONCE]) for i in places[::AT_ONCE])
+    direct.mean.copy_(mean_for_activity(patterns(direct, part) for part in parts))
     return direct.cpu()
 
 

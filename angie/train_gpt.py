@@ -26,8 +26,9 @@ class GPTTraining:
         stride: frames from one training window to the next, a multiple of 8
             (Bailando's GPT takes 8).
         grids: grids of tokens on which codes and onset features of the training clips are read:
-            1, from the first frame on; with 2, 4 or 8 the clips are learnt once more from every
-            8 / grids-th frame before the ninth. Not in the papers.
+            1, from the first frame on; with 2, 4 or 8 each clip is learnt that many times, begun
+            8 / grids frames later each time. Without `most_steps` training takes as many times
+            longer. Not in the papers.
     """
 
     schedule: Schedule = field(default_factory=lambda: Schedule(rate=3e-4, milestones=(250, 400)))

@@ -79,7 +79,7 @@ IMAGES: tuple[Definition, ...] = (
     Definition("l1", "L1", LOW, "", "Mean absolute error of pixels in [0, 1] (MRAA).", 4),
     Definition("perceptual", "Perceptual", LOW, "", "Distance of deep features over an image "
                "pyramid (MRAA); of which network is told with the numbers.", 2),
-    Definition("l1_drawn", "L1 drawn", LOW, "", "The same against what the renderer draws from the "
+    Definition("l1_drawn", "L1 drawn", LOW, "", "L1 against what the renderer draws from the "
                "recorded frames' own regions: the part of the motion, without what the renderer "
                "cannot draw.", 4),
     Definition("perceptual_drawn", "Perceptual drawn", LOW, "", "The perceptual distance to these "
