@@ -35,7 +35,7 @@ class GPTTraining:
     checks: int = 100
     patience: int = 20
     stride: int = STRIDE
-    grids: int = field(default=1, metadata={"later": True})
+    grids: int = 1
 
     def __post_init__(self) -> None:
         if min(self.checks, self.patience) < 1:
