@@ -66,11 +66,15 @@ def smooth_minima(curve: NDArray, fps: float) -> NDArray:
     """Motion beats (m,) of the percentage of matched beats: ends of deceleration, seconds.
 
     Args:
-        curve: speed (T,) in any unit.
+        curve: speed (T,) in any unit, of the step before each frame as `steps` has it; the first
+            frame has none, and what stands there is not read.
         fps: values a second.
     """
-    smooth = gaussian_filter1d(curve, SMOOTH * fps)
-    return minima(smooth, fps, PROMINENCE * float(curve.mean()))
+    moved = curve[1:]
+    if len(moved) < 4:
+        return np.zeros(0)  # a minimum has neighbours, and three frames at the ends have none
+    smooth = gaussian_filter1d(moved, SMOOTH * fps)
+    return minima(smooth, fps, PROMINENCE * float(moved.mean())) + 1 / fps
 
 
 def spaced(sound: NDArray) -> NDArray:

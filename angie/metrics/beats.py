@@ -96,10 +96,10 @@ def _gesture_beats(clip: NDArray, fps: float, kind: str) -> NDArray:
     if kind == "speed":
         return smooth_minima(speed, fps)
     if kind == "deceleration":
-        if len(speed) < 2:
-            return np.zeros(0)  # one frame has no slope
-        slope = np.gradient(gaussian_filter1d(speed, SMOOTH * fps)) * fps
-        return minima(slope, fps, PROMINENCE * float(np.abs(slope).mean()))
+        if len(speed) < 3:
+            return np.zeros(0)  # one step has no slope
+        slope = np.gradient(gaussian_filter1d(speed[1:], SMOOTH * fps)) * fps
+        return minima(slope, fps, PROMINENCE * float(np.abs(slope).mean())) + 1 / fps
     raise ValueError(f"kind is speed or deceleration, not {kind!r}")
 
 

@@ -100,6 +100,14 @@ def test_deceleration_is_strongest_a_quarter_before_the_minimum():
         beats.matched([swinging(TIMES)], [TIMES], FPS, kind="jerk")
 
 
+def test_the_step_that_the_first_frame_lacks_takes_no_beat_from_those_after_it():
+    frame = np.arange(150)
+    path = np.cumsum(2 - np.cos(np.pi * (frame - 3) / 6))  # slowest in frames 3, 15, 27 ...
+    clip = np.stack([path, 0 * path], axis=1)[:, None]
+    score = beats.matched([clip], [np.arange(3, 148, 12) / FPS], FPS, near=0.03)
+    assert score.value == 100 and score.counts["beats"] == 13
+
+
 @pytest.mark.parametrize("mode", ["aist", "bailando"])
 def test_alignment_is_one_on_the_beat_and_less_beside_it(mode):
     clip = swinging(TIMES)
