@@ -211,8 +211,8 @@ def render(
         canvas: draws the frames at another size than the picture's.
         tracked: follow the axes of regions from the picture on.
     """
-    regions = _regions(renderer, pose, picture.device)
-    driving = _regions(renderer, motion, picture.device)
+    regions = regions_of(renderer, pose, picture.device)
+    driving = regions_of(renderer, motion, picture.device)
     if tracked:
         driving = replace(driving, affine=follow(driving.affine, regions.affine[0]))
     return draw(renderer, picture, regions, driving, precision, canvas)
@@ -242,7 +242,7 @@ def draw(
     return (canvas.frames(p.flow, p.occlusion, p.painted) for p in session.parts(driving))
 
 
-def _regions(renderer: Renderer, motion: Motion, device: torch.device) -> Regions:
+def regions_of(renderer: Renderer, motion: Motion, device: torch.device) -> Regions:
     """Regions (T, K) of motion, clamped to what can be rendered."""
     covariance = renderable(motion.covariance().to(device))
     return regions_from_motion(motion.shift.to(device), covariance, renderer.config.affine_mode)

@@ -39,6 +39,12 @@ def evaluate(
     image_stride: Annotated[
         int, typer.Option(min=2, help="Every so many frames two are rendered for image scores.")
     ] = 25,
+    image_seconds: Annotated[
+        float,
+        typer.Option(
+            min=0, help="Score pictures of the first so many seconds of each clip; 0: of all."
+        ),
+    ] = 0.0,
     videos_shown: Annotated[
         int, typer.Option(min=0, help="Clips of which side-by-side videos are made.")
     ] = 2,
@@ -88,6 +94,7 @@ def evaluate(
         start=start,
         images=not no_images,
         image_stride=image_stride,
+        image_seconds=image_seconds,
         videos_shown=videos_shown,
         fgd=fgd,
         fgd_steps=fgd_steps,

@@ -104,6 +104,12 @@ def ablate(
     image_stride: Annotated[
         int, typer.Option(min=2, help="Every so many frames two are rendered for image scores.")
     ] = 25,
+    image_seconds: Annotated[
+        float,
+        typer.Option(
+            min=0, help="Score pictures of the first so many seconds of each clip; 0: of all."
+        ),
+    ] = 0.0,
     fgd: Annotated[
         Path | None, typer.Option(help="Auto-encoder of an earlier report, to compare with it.")
     ] = None,
@@ -131,6 +137,7 @@ def ablate(
         seed=seed,
         images=not no_images,
         image_stride=image_stride,
+        image_seconds=image_seconds,
         videos_shown=0,
         fgd=fgd,
         fgd_steps=fgd_steps,

@@ -22,7 +22,6 @@ from angie.evaluation.pictures import (
     TRUE_REGIONS,
     Driver,
     FrameJudge,
-    chosen_frames,
     score_pictures,
 )
 from angie.evaluation.rows import (
@@ -211,14 +210,11 @@ def _images(
     for name, bundle in bundles.items():
         drivers[name] = _through_codes(bundle)
         about[name] = "Drawn from its reconstruction: the true motion encoded, decoded, refined."
-    frames = sum(len(chosen_frames(c.motion.frames, config.image_stride)) for c in space.test)
+    frames = sum(len(config.choice.numbers(c.motion.frames)) for c in space.test)
     with progress("image scores", frames * len(about), "frames") as advance:
-        scores = score_pictures(
-            judge, data, space.test, drivers, joints, config.image_stride, advance
-        )
+        scores = score_pictures(judge, data, space.test, drivers, joints, config.choice, advance)
     return {
-        "about": f"Every {config.image_stride}th frame and the one after it. Perceptual distance "
-        f"by {judge.perceptual.backend}.",
+        "about": f"{config.choice}. Perceptual distance by {judge.perceptual.backend}.",
         "rows": [report.numbers_of_images(n, about[n], s) for n, s in scores.items()],
     }
 

@@ -23,7 +23,6 @@ from angie.evaluation.networks import (
 from angie.evaluation.pictures import (
     FrameJudge,
     FrameScores,
-    chosen_frames,
     compare,
     pick,
     read_chosen,
@@ -225,7 +224,7 @@ def _images(
         judge = replace(judge, identity=None)
     for w in watched:
         assert w.clip is not None
-        numbers = chosen_frames(w.performance.motion.frames, config.image_stride)
+        numbers = config.choice.numbers(w.performance.motion.frames)
         if not len(numbers):
             continue
         true, _ = read_chosen(data, stored[w.clip.name], numbers)
@@ -234,8 +233,8 @@ def _images(
         part = None if known is None else known[numbers]
         compare(judge, gathered, true, _chosen(w.path, numbers), seen, part)
     return {
-        "about": f"Every {config.image_stride}th frame and the one after it, of the videos named "
-        f"like a clip. Perceptual distance by {judge.perceptual.backend}.",
+        "about": f"{config.choice}, of the videos named like a clip. Perceptual distance by "
+        f"{judge.perceptual.backend}.",
         "rows": [report.numbers_of_images(name, about, gathered.scores())],
     }
 

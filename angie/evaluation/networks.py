@@ -11,7 +11,7 @@ from safetensors.torch import save_file
 
 from angie.clips import MotionClip
 from angie.evaluation.joints import JointReader, fit_reader
-from angie.evaluation.pictures import FrameJudge
+from angie.evaluation.pictures import FrameChoice, FrameJudge
 from angie.evaluation.space import RegionSpace
 from angie.metrics.autoencoder import (
     AutoencoderTraining,
@@ -49,6 +49,7 @@ class EvaluationConfig:
         start: "truth" (first ground-truth code pair) or "pose" (codes of stillness).
         images: render frames: image scores and videos.
         image_stride: every so many frames two in a row are rendered for image scores.
+        image_seconds: of the beginning of each clip that are scored so; 0 for all.
         videos_shown: clips of which side-by-side videos are made.
         fgd: stored auto-encoder of an earlier report; None to train one.
         fgd_steps: most steps of its training.
@@ -64,6 +65,7 @@ class EvaluationConfig:
     start: str = "truth"
     images: bool = True
     image_stride: int = 25
+    image_seconds: float = 0.0
     videos_shown: int = 2
     fgd: Path | None = None
     fgd_steps: int = 3000
@@ -72,6 +74,11 @@ class EvaluationConfig:
     detected: Path | None = None
     greedy: bool = False
     perceptual_weights: str = ""
+
+    @property
+    def choice(self) -> FrameChoice:
+        """Which frames have image scores."""
+        return FrameChoice(self.image_stride, self.image_seconds)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for the report, without the paths of this machine."""

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from angie.animate import render
+from angie.animate import regions_of, render
 from angie.clips import MotionClip
 from angie.evaluation.definitions import PIXEL
 from angie.evaluation.joints import JointReader
@@ -17,9 +17,11 @@ from angie.metrics.identity import IdentityNetwork, embed
 from angie.metrics.score import Score
 from angie.motion import Motion, encode_cholesky
 from data_prep.dataset import Clip, Dataset
+from data_prep.rates import FPS
 from mraa.image_metrics import ImageScores, PerceptualDistance
 from mraa.image_metrics import score as image_scores
 from mraa.renderer import Renderer, from_pixels
+from mraa.session import RenderSession
 
 AT_ONCE = 8
 """Frames scored together."""
@@ -112,6 +114,29 @@ def _mean_over_frames(parts: list[NDArray]) -> Score:
     return Score(float(values.mean()), counts={"frames": len(values)})
 
 
+@dataclass(frozen=True)
+class FrameChoice:
+    """Which frames of a clip are scored.
+
+    Attributes:
+        stride: every so many frames two in a row are.
+        seconds: of the beginning of each clip; 0 for all of it.
+    """
+
+    stride: int
+    seconds: float = 0.0
+
+    def numbers(self, count: int) -> NDArray:
+        """Numbers of the frames scored of a clip of `count` frames."""
+        within = min(count, round(self.seconds * FPS)) if self.seconds else count
+        return chosen_frames(within, self.stride)
+
+    def __str__(self) -> str:
+        """A sentence for the report."""
+        within = f" in the first {self.seconds:g} s of each clip" if self.seconds else ""
+        return f"Every {self.stride}th frame and the one after it{within}"
+
+
 def chosen_frames(count: int, stride: int) -> NDArray:
     """Numbers of the frames that are scored: every `stride`-th and the one after it.
 
@@ -199,7 +224,7 @@ def score_pictures(
     clips: Sequence[MotionClip],
     drivers: dict[str, Driver],
     joints: dict[str, NDArray],
-    stride: int,
+    choice: FrameChoice,
     advance: Callable[..., None],
 ) -> dict[str, dict[str, Score]]:
     """Render clips from their first frame with each driver's motion, and score the frames.
@@ -210,7 +235,7 @@ def score_pictures(
         clips: test clips.
         drivers: by the name of their row; that of `TRUE_REGIONS` comes before them.
         joints: true joints (T, J, 2) of clips, by name, as far as known.
-        stride: every so many frames two in a row are scored.
+        choice: which frames are scored.
         advance: told the number of frames done.
 
     Returns:
@@ -219,16 +244,19 @@ def score_pictures(
     gathered = {name: FrameScores() for name in (TRUE_REGIONS, *drivers)}
     stored = {clip.id: clip for clip in dataset.clips()}
     for clip in clips:
-        numbers = chosen_frames(clip.motion.frames, stride)
+        numbers = choice.numbers(clip.motion.frames)
+        if not len(numbers):
+            continue
         true, source = read_chosen(dataset, stored[clip.name], numbers)
+        session = open_session(judge.renderer, source, clip.motion[:1])
         seen = pick(clip.motion, numbers)
         known = joints.get(clip.name)
         part = None if known is None else known[numbers]
         drawn: NDArray | None = None
         for name, driver in {TRUE_REGIONS: _recorded, **drivers}.items():
             motion = pick(driver(clip), numbers)
-            frames = rendered(judge.renderer, source, clip.motion[:1], motion, SCORED_IN)
-            made = np.concatenate(list(frames))
+            driving = regions_of(judge.renderer, motion, session.device)
+            made = np.concatenate(list(session.frames(driving)))
             drawn = made if drawn is None else drawn  # the first ones, of the true regions
             compare(judge, gathered[name], true, made, seen, part, drawn)
             advance(len(numbers))
@@ -251,22 +279,27 @@ def pick(motion: Motion, numbers: NDArray) -> Motion:
     return Motion(motion.shift[index], motion.cholesky[index])
 
 
+def open_session(renderer: Renderer, source: NDArray, pose: Motion) -> RenderSession:
+    """A session that draws what is scored from a frame (H, W, 3) uint8 and its pose."""
+    device = next(renderer.parameters()).device
+    picture = from_pixels(torch.from_numpy(source)[None]).to(device)
+    return RenderSession(renderer, picture, regions_of(renderer, pose, device), precision=SCORED_IN)
+
+
 def rendered(
     renderer: Renderer,
     source: NDArray,
     pose: Motion,
     motion: Motion,
-    precision: str = "auto",
 ) -> Iterator[NDArray]:
-    """Frames (b, H, W, 3) uint8 of a motion, a few at a time.
+    """Frames (b, H, W, 3) uint8 of a motion, a few at a time, as `angie animate` draws them.
 
     Args:
         renderer: in eval mode.
         source: (H, W, 3) uint8.
         pose: its pose, one frame.
         motion: T frames.
-        precision: as `mraa.session.RenderSession`.
     """
     device = next(renderer.parameters()).device
     picture = from_pixels(torch.from_numpy(source)[None]).to(device)
-    return render(renderer, picture, pose, motion, precision)
+    return render(renderer, picture, pose, motion)
