@@ -113,6 +113,24 @@ def read_points(path: Path) -> NDArray:
     return points
 
 
+def read_rate(path: Path) -> float | None:
+    """Frames a second that an .npz file states as `fps`, as `angie gestures` writes it; or None.
+
+    Raises:
+        BadInput: it is no rate from 1 to 1000.
+    """
+    if path.suffix != ".npz":
+        return None
+    with np.load(path, allow_pickle=False) as file:
+        if "fps" not in file.files:
+            return None
+        stated = file["fps"]
+    fps = float(stated) if stated.size == 1 and stated.dtype.kind in "fiu" else 0.0
+    if not 1 <= fps <= 1000:
+        raise BadInput(f"{path}: fps {stated} is no rate from 1 to 1000")
+    return fps
+
+
 class KeypointDataset:
     """Clips of joints with their sound.
 

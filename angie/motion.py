@@ -61,6 +61,12 @@ class Motion:
         """Points (..., T, K, 2) without extent."""
         return cls(points, points.new_zeros(*points.shape[:-1], 0))
 
+    def like(self, vector: Tensor) -> "Motion":
+        """Motion of vectors (..., T, C), of regions or of points as this motion is."""
+        shift, cholesky = vector.tensor_split([2 * self.regions], dim=-1)
+        kept = (*vector.shape[:-1], self.regions)
+        return Motion(shift.reshape(*kept, 2), cholesky.reshape(*kept, self.cholesky.shape[-1]))
+
     @property
     def has_extent(self) -> bool:
         """Whether there are Cholesky factors; points have none."""

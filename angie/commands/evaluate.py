@@ -13,7 +13,10 @@ from data_prep.progress import console
 def evaluate(
     places: Annotated[
         list[Path] | None,
-        typer.Argument(help="A dataset, then the speaker bundles to compare."),
+        typer.Argument(
+            help="A dataset, then the speaker bundles to compare; or a folder of joints, then "
+            "models of joints and folders of arrays."
+        ),
     ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder of the report.")
@@ -111,8 +114,16 @@ def evaluate(
         if not places or len(places) < 2:
             raise BadInput("give a dataset and one or more speaker bundles: DATASET BUNDLE...")
         from angie.evaluation.evaluate import evaluate as run
+        from angie.evaluation.skeletons import evaluate_joints
+        from angie.keypoints import INDEX
 
-        numbers = run(places[0], places[1:], output, config, device=device_of(device), force=force)
+        if (places[0] / INDEX).is_file():
+            if truth is not None:
+                raise BadInput("--truth goes with a dataset of videos")
+            numbers = evaluate_joints(places[0], places[1:], output, config, force=force)
+        else:
+            place = device_of(device)
+            numbers = run(places[0], places[1:], output, config, device=place, force=force)
     else:
         if places:
             raise BadInput("--videos: takes no DATASET BUNDLE...; name --reference and --bundle")

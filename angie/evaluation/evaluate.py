@@ -37,6 +37,7 @@ from angie.evaluation.rows import (
 from angie.evaluation.scoring import make_judge
 from angie.evaluation.space import RegionSpace, open_space
 from angie.evaluation.videos import spread, write_videos
+from angie.keypoints import KeypointDataset
 from angie.motion import Motion
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
@@ -103,19 +104,35 @@ def _grouped(folders: Sequence[Path]) -> list[dict[str, Bundle]]:
         raise BadInput("no bundle is named; give one or more speaker bundles")
     if len({Path(f).resolve() for f in folders}) < len(folders):
         raise BadInput("a bundle is named twice; name each once")
-    names = [Path(folder).resolve().name for folder in folders]
     groups: dict[str, dict[str, Bundle]] = {}
-    for folder, name in zip(folders, names, strict=True):
+    for folder, label in zip(folders, row_names(folders), strict=True):
         bundle = Bundle.open(folder)
         if bundle.preset.points:
-            raise BadInput(f"{folder}: a model of joints draws no videos; score its arrays")
-        for part in bundle.parts:
-            if part not in OPTIONAL:
-                bundle.path_of(part)
-        single = names.count(name) == 1 and name not in (TRUE_REGIONS, *REFERENCES)
-        label = name if single else f"{Path(folder).resolve().parent.name}/{name}"
+            raise BadInput(f"{folder}: is a model of joints; score it on a folder of joints")
+        check_whole(bundle)
         groups.setdefault(bundle.hash_of("renderer"), {})[label] = bundle
     return list(groups.values())
+
+
+def row_names(folders: Sequence[Path]) -> list[str]:
+    """Names of the rows of folders: with their parents', where a name alone would not do."""
+    places = [Path(folder).resolve() for folder in folders]
+    taken = [*(place.name for place in places), TRUE_REGIONS, *REFERENCES]
+    return [
+        place.name if taken.count(place.name) == 1 else f"{place.parent.name}/{place.name}"
+        for place in places
+    ]
+
+
+def check_whole(bundle: Bundle) -> None:
+    """See that a bundle has every part that it needs.
+
+    Raises:
+        BadInput: it lacks one.
+    """
+    for part in bundle.parts:
+        if part not in OPTIONAL:
+            bundle.path_of(part)
 
 
 def remove_folder(folder: Path) -> None:
@@ -180,10 +197,10 @@ def score_space(
     }
 
 
-def told_of(bundle: Bundle, data: Dataset) -> dict[str, Any]:
+def told_of(bundle: Bundle, data: Dataset | KeypointDataset) -> dict[str, Any]:
     """What a report tells of a bundle."""
     parts = bundle.manifest["parts"]
-    trained = parts["renderer"]["report"]
+    trained = parts["statistics" if bundle.preset.points else "renderer"]["report"]
     return {
         "preset": bundle.preset.name,
         "parts": {name: entry["sha256"] for name, entry in parts.items()},
@@ -220,7 +237,7 @@ def _images(
 
 
 def _held(clip: MotionClip) -> Motion:
-    return Motion.from_vector(clip.motion[:1].vector().expand(clip.motion.frames, -1))
+    return clip.motion.like(clip.motion[:1].vector().expand(clip.motion.frames, -1))
 
 
 def _through_codes(bundle: Bundle) -> Driver:
@@ -244,7 +261,7 @@ def _videos(
 
 
 def numbers_of(
-    data: Dataset, spaces: list[dict[str, Any]], config: EvaluationConfig
+    data: Dataset | KeypointDataset, spaces: list[dict[str, Any]], config: EvaluationConfig
 ) -> dict[str, Any]:
     """The content of results.json."""
     told: dict[str, Any] = {

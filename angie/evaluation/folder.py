@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from angie.bundle import Bundle
 from angie.clips import MotionClip
 from angie.evaluation import report
-from angie.evaluation.evaluate import baselines, numbers_of, remove_folder, seeds_of, told_of
+from angie.evaluation.evaluate import (
+    baselines,
+    numbers_of,
+    remove_folder,
+    row_names,
+    seeds_of,
+    told_of,
+)
 from angie.evaluation.joints import true_joints
 from angie.evaluation.networks import (
     EvaluationConfig,
@@ -168,7 +175,7 @@ def evaluate_videos(
                 watched.append(watch(path, space, renderer.estimator))
                 advance()
         known = sum(w.clip is not None for w in watched)
-        name = Path(folder).resolve().name
+        (name,) = row_names([folder])
         about = f"{len(watched)} videos, {known} of them named like a clip of the dataset."
         rows = [*baselines(space, seeds_of(config)), Row(name, about, [_performances(watched)])]
         model, scale, origin = find_autoencoder(space, part, 0, config)

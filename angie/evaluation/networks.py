@@ -94,15 +94,15 @@ def stored_autoencoder(path: Path, estimator: str) -> StoredAutoencoder:
 
     Args:
         path: its file.
-        estimator: hash of the renderer whose regions it has to be of.
+        estimator: hash of the renderer, or of the dataset of joints, that it has to be of.
 
     Raises:
-        BadInput: not readable, or of other regions.
+        BadInput: not readable, or of other regions or joints.
     """
     stored = load_autoencoder(path)
     if stored.estimator != estimator:
         raise BadInput(
-            f"{path}: trained on regions of another renderer "
+            f"{path}: trained on regions of another renderer, or on other joints "
             f"({stored.estimator[:12]}, not {estimator[:12]}); leave --fgd out"
         )
     return stored

@@ -153,10 +153,12 @@ def _plots(space: Mapping[str, Any], names: Sequence[str]) -> str:
         r["name"]: ([float(x) for x in r["pmb_curve"]], list(r["pmb_curve"].values())) for r in rows
     }
     speeds = {r["name"]: (space["speed_bins"], r["speeds"]) for r in rows}
+    kind = space["kind"]
+    unit = "px" if kind == "regions" else "units"
     figures += [
         plots.lines("Matched beats over the threshold", curves, "threshold, s", "PMB, %"),
         plots.lines(
-            "Speed of the active regions", speeds, "mean speed, px/s", "share of slower frames"
+            f"Speed of the active {kind}", speeds, f"mean speed, {unit}/s", "share of slower frames"
         ),
     ]
     activity = space["activity"]
@@ -214,7 +216,8 @@ def _definitions() -> str:
         f"{', ' + escape(c.unit) if c.unit else ''}</small></dt><dd>{escape(c.text)}</dd>"
         for c in (*MOTION, *IMAGES)
     )
-    return f"<h2>Definitions</h2><p>All positions are region centres.</p><dl>{items}</dl>"
+    what = "All positions are region centres, or joints where the dataset is one of joints."
+    return f"<h2>Definitions</h2><p>{what}</p><dl>{items}</dl>"
 
 
 def _origin(numbers: Mapping[str, Any]) -> str:
@@ -224,7 +227,8 @@ def _origin(numbers: Mapping[str, Any]) -> str:
         *((k.replace("_", " "), str(v)) for k, v in numbers["options"].items()),
     ]
     for space in numbers["spaces"]:
-        lines.append(("region estimator", f"renderer sha256 {space['estimator']}"))
+        whose = "renderer" if space["kind"] == "regions" else "joints of the dataset"
+        lines.append(("motion", f"{space['kind']}, {whose} sha256 {space['estimator']}"))
         for key, value in space["origin"].items():
             lines.append((key, str(value)))
     rows = "".join(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from angie.evaluation.definitions import ALL, IMAGES, MOTION, PIXEL, SHORT
+from angie.evaluation.definitions import ALL, IMAGES, MOTION, SHORT
 from angie.evaluation.page import page
 from angie.evaluation.rows import Performance, Row
 from angie.evaluation.scoring import Judge, Summary, matched_curve, score_motion, summarise_runs
@@ -28,12 +28,13 @@ BY_SPEAKER = ("fgd", "bc", "pmb", "diversity", "hellinger", "acceleration")
 
 
 def gesture_speed(run: Sequence[Performance], judge: Judge) -> list[NDArray]:
-    """Mean speed (T - 1,) of the active regions of each performance, pixels a second."""
-    return [steps(points(p.motion)[:, judge.active])[1:].mean(1) * judge.fps * PIXEL for p in run]
+    """Mean speed (T - 1,) of what gestures in each performance, pixels or units a second."""
+    scale = judge.fps * (judge.pixel or 1.0)
+    return [steps(points(p.motion)[:, judge.active])[1:].mean(1) * scale for p in run]
 
 
 def speed_bins(run: Sequence[Performance], judge: Judge) -> NDArray:
-    """Speeds (41,) of the plot, pixels a second, up to what is true motion's."""
+    """Speeds (41,) of the plot, as `gesture_speed`, up to what is true motion's."""
     speeds = np.concatenate(gesture_speed(run, judge))
     return np.linspace(0, max(float(np.percentile(speeds, FASTEST)), 1e-6), SPEED_BINS + 1)
 
@@ -117,6 +118,7 @@ def numbers_of_space(
         bundles: what is told of each bundle, by name.
     """
     return {
+        "kind": space.kind,
         "estimator": space.estimator,
         "bundles": bundles,
         "fps": judge.fps,
@@ -182,12 +184,12 @@ def write_report(folder: Path, title: str, numbers: Mapping[str, Any]) -> None:
 
 def terminal_table(numbers: Mapping[str, Any]) -> str:
     """The most read columns as text."""
-    columns = [c for c in ALL if c.key in SHORT]
+    columns = [c for c in MOTION if c.key in SHORT]
     lines = []
     for space in numbers["spaces"]:
         if len(numbers["spaces"]) > 1:
             lines.append(f"regions {space['estimator'][:12]}")
-        lines += _aligned(space["rows"], columns)
+        lines += _aligned(space["rows"], [c for c in columns if _any(space["rows"], c.key)])
         if space["images"] is not None:
             shown = [c for c in IMAGES if _any(space["images"]["rows"], c.key)]
             lines += ["", *_aligned(space["images"]["rows"], shown)]

@@ -79,7 +79,7 @@ def motionless(space: RegionSpace) -> Row:
     run = []
     for clip in space.test:
         vector = clip.motion[:1].vector().expand(clip.motion.frames, -1)
-        run.append(perform(clip, Motion.from_vector(vector.clone())))
+        run.append(perform(clip, clip.motion.like(vector)))
     return Row("motionless", "The first pose of each clip, held.", [run])
 
 
@@ -142,7 +142,8 @@ def _retrieve(clip: MotionClip, space: RegionSpace) -> Motion:
     shelf = [other for other in space.train if other.speaker == clip.speaker] or space.train
     sounds = [_sound(other, space) for other in shelf]
     wanted, frames = _sound(clip, space), clip.motion.frames
-    total = torch.zeros(frames, 5 * clip.motion.regions)
+    start = clip.motion[:1].vector()
+    total = torch.zeros(frames, start.shape[1])
     weight = torch.zeros(frames, 1)
     first = 0
     while True:
@@ -157,7 +158,7 @@ def _retrieve(clip: MotionClip, space: RegionSpace) -> Motion:
         total[first:last] += found * ramp
         weight[first:last] += ramp
         if last >= frames:
-            return positive(Motion.from_vector(clip.motion[:1].vector() + total / weight))
+            return positive(clip.motion.like(start + total / weight))
         first = last - FADE
 
 

@@ -47,6 +47,7 @@ class Judge:
         real: true motion (T, K, 2) of the test clips.
         speakers: who speaks in each.
         windows: those of the true motion.
+        pixel: pixels of one unit of the motion; None where that is not known.
         fps: frames a second of all motion.
     """
 
@@ -57,6 +58,7 @@ class Judge:
     real: list[NDArray]
     speakers: list[str]
     windows: Windows
+    pixel: float | None = PIXEL
     fps: float = FPS
 
     def only(self, speaker: str) -> "Judge":
@@ -76,7 +78,7 @@ def make_judge(
     speakers = [clip.speaker for clip in space.test]
     cut = cut_windows([clip.motion for clip in space.test], speakers, scale, model)
     real = [points(clip.motion) for clip in space.test]
-    return Judge(space.active, space.usual, scale, model, real, speakers, cut)
+    return Judge(space.active, space.usual, scale, model, real, speakers, cut, space.pixel)
 
 
 def cut_windows(
@@ -121,7 +123,7 @@ def score_motion(run: Sequence[Performance], judge: Judge, seed: int = 0) -> dic
         ),
         "acceleration": speed.acceleration(moved, judge.fps),
         "jerk": speed.jerk(moved, judge.fps),
-        **_truth_scores(real, known, judge.fps),
+        **_truth_scores(real, known, judge),
     }
 
 
@@ -165,23 +167,25 @@ def matched_curve(run: Sequence[Performance], judge: Judge) -> dict[float, Score
     return beats.matched_curve(gestures, [p.onsets for p in run], judge.fps)
 
 
-def _truth_scores(real: list[NDArray], made: list[NDArray], fps: float) -> dict[str, Score]:
+def _truth_scores(real: list[NDArray], made: list[NDArray], judge: Judge) -> dict[str, Score]:
     if not real:
         reason = "what was recorded with this sound is not known"
         keys = ("maje", "maje_px", "mad", "mad_px", "cca_global", "cca")
         return {key: Score.missing(reason) for key in keys}
-    apart, accelerated = truth.maje(real, made), truth.mad(real, made, fps)
+    apart, accelerated = truth.maje(real, made), truth.mad(real, made, judge.fps)
     return {
         "maje": _times(apart, 1000),
-        "maje_px": _times(apart, PIXEL),
+        "maje_px": _times(apart, judge.pixel),
         "mad": _times(accelerated, 1000),
-        "mad_px": _times(accelerated, PIXEL),
+        "mad_px": _times(accelerated, judge.pixel),
         "cca_global": truth.global_cca(real, made),
         "cca": truth.cca(real, made),
     }
 
 
-def _times(score: Score, factor: float) -> Score:
+def _times(score: Score, factor: float | None) -> Score:
+    if factor is None:
+        return Score.missing("joints have a unit of their own, whose pixels are not known")
     if score.value is None:
         return score
     return Score(score.value * factor, counts=score.counts, warning=score.warning)

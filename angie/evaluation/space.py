@@ -1,6 +1,7 @@
-"""The clips of a dataset in the regions of one estimator: what generators of it are scored in.
+"""The clips of a dataset as points that move: what generators are scored in.
 
-Regions of two estimators have nothing in common, so scores can be compared within a space alone.
+The points are the regions of one estimator, or joints. Regions of two estimators have nothing in
+common, nor have regions and joints, so scores can be compared within a space alone.
 """
 
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from angie.bundle import Bundle
 from angie.clips import MotionClip, read_clips
+from angie.evaluation.definitions import PIXEL
 from angie.extraction import extract_dataset
 from angie.metrics.autoencoder import MotionScale
 from angie.metrics.beats import usual_steps
@@ -23,19 +25,27 @@ from data_prep.rates import FPS
 
 @dataclass(frozen=True)
 class RegionSpace:
-    """Clips of a dataset as one region estimator sees them.
+    """Clips of a dataset as one region estimator sees them, or as joints.
 
     Attributes:
-        estimator: hash of the renderer whose estimator measured the motion.
+        estimator: hash of the renderer whose estimator measured the motion; of the dataset, where
+            its joints are the motion.
         train: training clips, at least one.
         test: test clips, at least one.
         statistics: of the training clips.
+        kind: "regions" or "joints".
     """
 
     estimator: str
     train: list[MotionClip]
     test: list[MotionClip]
     statistics: MotionStatistics
+    kind: str = "regions"
+
+    @property
+    def pixel(self) -> float | None:
+        """Pixels of one unit of the motion; None where joints have a unit of their own."""
+        return PIXEL if self.kind == "regions" else None
 
     @property
     def active(self) -> NDArray:
@@ -57,7 +67,7 @@ class RegionSpace:
 
 
 def points(motion: Motion) -> NDArray:
-    """Region centres (T, K, 2) float64 of motion, in [-1, 1]."""
+    """Region centres (T, K, 2) float64 of motion, in [-1, 1]; or joints, in their own unit."""
     return motion.shift.double().numpy()
 
 

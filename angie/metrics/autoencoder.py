@@ -202,7 +202,9 @@ class MotionScale:
         """
         if speaker not in self.speakers:
             known = ", ".join(self.speakers)
-            raise BadInput(f"{speaker}: FGD's auto-encoder knows no such speaker; known: {known}")
+            raise BadInput(
+                f"{speaker}: FGD needs training clips of every test speaker; known: {known}"
+            )
         rest = self.rest[self.speakers.index(speaker)]
         return ((motion - rest) / self.scale).astype(np.float32)
 

@@ -1,0 +1,158 @@
+"""Models of joints, and arrays of any system, on a folder of joints: the paper's Table 1.
+
+The rows and scores are those of regions, of joints at 25 frames a second; nothing is drawn. Such
+numbers are never comparable with those of regions.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from angie.bundle import Bundle
+from angie.evaluation import report
+from angie.evaluation.evaluate import (
+    check_whole,
+    make_rows,
+    numbers_of,
+    remove_folder,
+    row_names,
+    told_of,
+)
+from angie.evaluation.networks import EvaluationConfig, find_autoencoder, stored_autoencoder
+from angie.evaluation.rows import Row, perform
+from angie.evaluation.scoring import make_judge
+from angie.evaluation.space import RegionSpace
+from angie.evaluation.videos import spread
+from angie.keypoints import KeypointDataset, read_points, read_rate, resample
+from angie.motion import Motion
+from angie.statistics import measure
+from data_prep.errors import BadInput
+from data_prep.output import check_apart, whole_folder
+from data_prep.rates import FPS
+
+
+def evaluate_joints(
+    folder: Path,
+    systems: Sequence[Path],
+    output: Path,
+    config: EvaluationConfig | None = None,
+    *,
+    force: bool = False,
+) -> dict[str, Any]:
+    """Score models of joints and arrays on the test clips of a folder of joints.
+
+    Args:
+        folder: joints with their sound, see `angie.keypoints`.
+        systems: bundles of joints, and folders of any system's `<clip>.npy` or `.npz` with
+            `points` (T, J, 2), named like test clips and at the clips' own rate (or at the
+            file's `fps`).
+        output: folder of the report.
+        config: how; nothing is drawn.
+        force: replace a report that exists.
+
+    Returns:
+        the content of results.json.
+
+    Raises:
+        BadInput: an input that cannot be used; nothing is left behind.
+    """
+    config = replace(config or EvaluationConfig(), images=False)
+    check_apart(output, [folder, *systems])
+    if len({Path(system).resolve() for system in systems}) < len(systems):
+        raise BadInput("a system is named twice; name each once")
+    models, arrays = _told_apart(systems)
+    with whole_folder(output, mark=report.MARK, force=force) as part:
+        kept = [model.train / "features" for model in models.values()]
+        cache = next((place for place in kept if place.is_dir()), part / "features")
+        data = KeypointDataset(folder, cache)
+        _check(data, models, config)
+        found = {name: read_arrays(data, place) for name, place in arrays.items()}
+        space = open_joints(data)
+        rows = make_rows(space, models, config)
+        rows += [array_row(space, name, motions) for name, motions in found.items()]
+        model, scale, origin = find_autoencoder(space, part, 0, config)
+        judge = make_judge(space, model, scale)
+        bins = report.speed_bins(rows[0].runs[0], judge)
+        scored = [report.numbers_of_row(row, judge, bins) for row in rows]
+        shown = space.test[spread(space.test, 1)[0]].name
+        told = {name: told_of(bundle, data) for name, bundle in models.items()}
+        result = report.numbers_of_space(space, judge, rows, scored, shown, bins, origin, told)
+        numbers = numbers_of(data, [result | {"images": None, "videos": []}], config)
+        remove_folder(part / "features")
+        report.write_report(part, data.path.resolve().name, numbers)
+    return numbers
+
+
+def _told_apart(systems: Sequence[Path]) -> tuple[dict[str, Bundle], dict[str, Path]]:
+    """Models, and folders of arrays, by the names of their rows.
+
+    Raises:
+        BadInput: no folder, a model of regions, or one that lacks a part.
+    """
+    models, arrays = {}, {}
+    for system, name in zip(systems, row_names(systems), strict=True):
+        if (system / "bundle.json").is_file():
+            models[name] = Bundle.open(system)
+            if not models[name].preset.points:
+                raise BadInput(f"{system}: is a model of regions; score it on a dataset of videos")
+            check_whole(models[name])
+        elif system.is_dir():
+            arrays[name] = system
+        else:
+            raise BadInput(f"{system}: is no folder; give models of joints, or folders of arrays")
+    return models, arrays
+
+
+def _check(data: KeypointDataset, models: dict[str, Bundle], config: EvaluationConfig) -> None:
+    """See that models and the stored auto-encoder fit the joints.
+
+    Raises:
+        BadInput: they do not, or there is no training or no test clip.
+    """
+    for split in ("train", "test"):
+        if not data.clips(split):
+            raise BadInput(f"{data.path}: has no {split} clips to score with")
+    for name, model in models.items():
+        regions = model.statistics().regions
+        if regions != data.joints():
+            raise BadInput(f"{name}: has {regions} joints, {data.path} {data.joints()}")
+    if config.fgd is not None:
+        stored_autoencoder(config.fgd, data.digest)
+    data.check_sound()
+
+
+def open_joints(data: KeypointDataset) -> RegionSpace:
+    """The clips of a folder of joints, at 25 frames a second."""
+    train, test = (data.motion_clips(split) for split in ("train", "test"))
+    return RegionSpace(data.digest, train, test, measure(train), "joints")
+
+
+def read_arrays(data: KeypointDataset, folder: Path) -> dict[str, Motion]:
+    """Motion at 25 frames a second of the test clips that a folder has arrays of, by their names.
+
+    Raises:
+        BadInput: an array that cannot be used, or none named like a test clip.
+    """
+    found = {}
+    for clip in data.clips("test"):
+        paths = [folder / f"{clip.id}{ending}" for ending in (".npy", ".npz")]
+        path = next((path for path in paths if path.is_file()), None)
+        if path is None:
+            continue
+        points = read_points(path)
+        if points.shape[1] != data.joints():
+            raise BadInput(f"{path}: has {points.shape[1]} joints, {data.path} {data.joints()}")
+        moved = resample(points, read_rate(path) or clip.fps, FPS)
+        found[clip.id] = Motion.of_points(torch.from_numpy(moved).float())
+    if not found:
+        raise BadInput(f"{folder}: holds no array named like a test clip of {data.path}")
+    return found
+
+
+def array_row(space: RegionSpace, name: str, motions: dict[str, Motion]) -> Row:
+    """The row of a folder of arrays."""
+    run = [perform(clip, motions[clip.name]) for clip in space.test if clip.name in motions]
+    return Row(name, f"Arrays of {len(run)} of {len(space.test)} test clips.", [run])
