@@ -1,6 +1,7 @@
 """Joints in place of regions: a dataset of arrays trained and generated end to end."""
 
 import dataclasses
+import json
 import shutil
 import sys
 
@@ -10,6 +11,7 @@ from lightning_fabric import Fabric
 
 from angie.bundle import Bundle
 from angie.cli import main
+from angie.demo import BUNDLE
 from angie.keypoints import KeypointDataset, read_points, resample
 from angie.summary import describe
 from angie.training import Trainer
@@ -139,6 +141,64 @@ def test_motion_is_written_at_the_rate_asked_for(model, data, tmp_path, capsys):
     plain = tmp_path / "out.npy"
     assert call(capsys, "gestures", model, sound, "-o", plain, "--speaker", "bob")[0] == 0
     assert np.load(plain).shape == (150, JOINTS, 2)
+
+
+def test_models_and_arrays_are_scored_beside_the_baselines(model, data, tmp_path, capsys):
+    """What the paper's Table 1 asks for; arrays are any system's, here the truth and half of it."""
+    for name, size in (("same", 1.0), ("half", 0.5)):
+        (tmp_path / name).mkdir()
+        for clip in ("c10", "c11"):
+            points = read_points(next((data / "motion").glob(f"{clip}.np?")))
+            middle = points.mean(0)
+            np.save(tmp_path / name / f"{clip}.npy", middle + size * (points - middle))
+    (tmp_path / "half" / "c11.npy").unlink()
+    report = tmp_path / "report"
+    status, text, _ = call(
+        capsys, "evaluate", data, model, tmp_path / "same", tmp_path / "half", "-o", report,
+        "--seeds", 2, "--fgd-steps", 5,
+    )  # fmt: skip
+    assert status == 0 and "MAJE px" not in text  # their unit is no pixel
+    assert {path.name for path in report.iterdir()} == {
+        "results.json", "table.csv", "report.html", "fgd-0.safetensors"
+    }  # fmt: skip
+    (space,) = json.loads((report / "results.json").read_text())["spaces"]
+    rows = {row["name"]: row for row in space["rows"]}
+    assert list(rows) == [
+        "ground truth", "motionless", "mismatched", "nearest audio", "model", "same", "half"
+    ]  # fmt: skip
+    scores = {
+        name: {key: score["mean"] for key, score in row["scores"].items()}
+        for name, row in rows.items()
+    }
+    assert scores["same"] == pytest.approx(scores["ground truth"], abs=1e-5)
+    assert scores["same"]["fgd"] == pytest.approx(0, abs=1e-6) and scores["same"]["maje"] == 0
+    assert scores["half"]["fgd"] > 1e-4 < scores["model"]["fgd"]
+    assert scores["half"]["acceleration"] < 0.7 * scores["same"]["acceleration"]
+    assert rows["half"]["clips"] == 1 and "1 of 2" in rows["half"]["about"]
+    assert rows["model"]["runs"] == 2 and space["kind"] == "joints"
+    assert scores["motionless"]["bc"] is None
+    page = (report / "report.html").read_text()
+    assert "mean speed, units/s" in page and "joints of the dataset sha256" in page
+
+
+def test_what_cannot_be_scored_on_joints_is_told(model, data, tmp_path, capsys):
+    folder = tmp_path / "arrays"
+    folder.mkdir()
+    for place, words in (
+        (folder, "no array named like a test clip"),
+        (tmp_path / "nowhere", "is no folder"),
+        (BUNDLE, "is a model of regions"),
+    ):
+        status, _, error = call(capsys, "evaluate", data, place, "-o", tmp_path / "report")
+        assert status == 2 and words in error and error.count("\n") == 1
+    np.save(folder / "c10.npy", np.zeros((90, 5, 2)))
+    status, _, error = call(capsys, "evaluate", data, folder, "-o", tmp_path / "report")
+    assert status == 2 and "has 5 joints" in error and "3" in error
+    np.savez(folder / "c10.npz", points=np.zeros((90, JOINTS, 2)), fps=0.0)
+    (folder / "c10.npy").unlink()
+    status, _, error = call(capsys, "evaluate", data, folder, "-o", tmp_path / "report")
+    assert status == 2 and "no rate from 1 to 1000" in error
+    assert not (tmp_path / "report").exists()
 
 
 def test_going_on_and_other_stages(model, data, tmp_path, capsys):
