@@ -14,7 +14,7 @@ from typing import Any
 
 import torch
 
-from angie.bundle import OPTIONAL, STAGE_OF, Bundle
+from angie.bundle import OPTIONAL, STAGE_OF, TRAIN, Bundle
 from angie.clips import MotionClip
 from angie.evaluation.evaluate import evaluate
 from angie.evaluation.networks import EvaluationConfig, stored_autoencoder
@@ -161,6 +161,7 @@ def _train(
     """Train what a variant's bundle lacks; renderer and motion are the source's."""
     if not (folder / "bundle.json").is_file():
         copy_renderer(source, folder, preset)
+        _copy_motion(folder)
     full = folder.parent / "full"
     if not preset.generation.refine:
         console.print("no_refine: the parts of full")
@@ -185,6 +186,14 @@ def copy_renderer(source: Bundle, folder: Path, preset: Preset) -> None:
     shutil.copy(source.path_of("renderer"), folder)
     made.manifest["parts"]["renderer"] = dict(source.manifest["parts"]["renderer"])
     made.write()
+
+
+def _copy_motion(folder: Path) -> None:
+    """Give a variant the region motion that one before it has measured, if it has none."""
+    places = [folder.parent / name / TRAIN / "motion" for name in VARIANTS]
+    measured = next((place for place in places if place.is_dir()), None)
+    if measured is not None and not (folder / TRAIN / "motion").is_dir():
+        shutil.copytree(measured, folder / TRAIN / "motion")
 
 
 def _copy_parts(source: Bundle, folder: Path) -> None:

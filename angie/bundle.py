@@ -228,6 +228,11 @@ class Bundle:
             BadInput: missing, changed, or trained on other parts.
         """
         stage = STAGE_OF.get(part, part)
+        if part not in self.parts and self.preset.points:
+            raise BadInput(
+                f"{self.folder}: is a model of joints, which draws no pictures; angie gestures "
+                "writes its motion"
+            )
         entry = self.manifest["parts"].get(part)
         if entry is None:
             raise BadInput(f"{self.folder}: has no {part} yet; run angie train --stage {stage}")

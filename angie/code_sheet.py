@@ -155,6 +155,8 @@ def code_sheet(
     check_apart(output, photos)
     for path in (output, video):
         check_output(path, force=force)
+        if path.is_dir():
+            raise BadInput(f"{path}: is a folder; name another file")
     if bundle.preset.points or bundle.preset.vq.quant == "no_quant":
         raise BadInput(f"{bundle.folder}: a sheet needs regions and codes")
     renderer, generator = bundle.renderer(), bundle.generator()

@@ -102,7 +102,8 @@ def read_points(path: Path) -> NDArray:
     except KeyError as error:
         raise BadInput(f"{path}: has no array `points`") from error
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise BadInput(f"{path}: not a readable array ({str(error).splitlines()[0]})") from error
+        what = "no array file" if "pickle" in str(error) else str(error).splitlines()[0]
+        raise BadInput(f"{path}: not a readable array ({what})") from error
     if points.ndim != 3 or points.shape[2] != 2 or not points.size:
         raise BadInput(f"{path}: holds {points.shape}, wanted are joints (T, J, 2)")
     if points.dtype.kind not in "fiu" or not np.isfinite(points).all():

@@ -246,7 +246,8 @@ def read_motion(path: Path, estimator: str | None = None) -> Motion:
             motion = _checked(file["shift"], file["cholesky"])
             origin = "" if estimator is None else str(file["estimator"])
     except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise BadInput(f"{path}: not a motion file ({error}); {wanted}") from error
+        what = "no array file" if "pickle" in str(error) else " ".join(str(error).split())
+        raise BadInput(f"{path}: not a motion file ({what}); {wanted}") from error
     if estimator is not None and origin != estimator:
         raise BadInput(
             f"{path}: measured by another region estimator ({origin[:12] or 'unknown'}, "
@@ -263,4 +264,6 @@ def _checked(shift: NDArray, cholesky: NDArray) -> Motion:
         arrays = [array.astype(np.float32) for array in (shift, cholesky)]
     if not all(np.isfinite(array).all() for array in arrays):
         raise ValueError("numbers that are not finite in float32")
+    if (arrays[1][..., ::2] <= 0).any():
+        raise ValueError("l1 or l3 of a Cholesky factor is not above 0")
     return Motion(*map(torch.from_numpy, arrays))

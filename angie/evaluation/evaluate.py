@@ -14,6 +14,7 @@ from angie.evaluation import report
 from angie.evaluation.joints import true_joints
 from angie.evaluation.networks import (
     EvaluationConfig,
+    check_perceptual,
     find_autoencoder,
     make_frame_judge,
     stored_autoencoder,
@@ -76,6 +77,7 @@ def evaluate(
     check_apart(output, [dataset, *bundles])
     data = Dataset(dataset)
     groups = _grouped(bundles)
+    check_perceptual(config)
     if config.fgd is not None:  # told before minutes of work
         stored_autoencoder(config.fgd, next(iter(groups[0].values())).hash_of("renderer"))
     joints = {} if config.truth is None else true_joints(data, config.truth)

@@ -24,6 +24,7 @@ from angie.evaluation.evaluate import (
 from angie.evaluation.joints import true_joints
 from angie.evaluation.networks import (
     EvaluationConfig,
+    check_perceptual,
     find_autoencoder,
     make_frame_judge,
 )
@@ -61,7 +62,7 @@ class Watched:
 
     Attributes:
         path: the file.
-        clip: the reference's clip of the same name, or None.
+        clip: the reference's test clip of the same name, or None.
         performance: its motion and sound.
     """
 
@@ -70,21 +71,30 @@ class Watched:
     performance: Performance
 
 
+def check_square(path: Path) -> None:
+    """See from its header that a video can be scored.
+
+    Raises:
+        BadInput: not square, or not readable.
+    """
+    info = probe(path)
+    if info.width != info.height:
+        raise BadInput(
+            f"{path}: is {info.width}x{info.height}; give square videos that show what the "
+            "dataset's clips show"
+        )
+
+
 def square_frames(path: Path) -> Iterator[NDArray]:
     """Frames (256, 256, 3) uint8 of a square video at 25 a second, resized where need be.
 
     Raises:
         BadInput: not square, or not readable.
     """
+    check_square(path)
     for frame in read_frames(path):
-        height, width = frame.shape[:2]
-        if height != width:
-            raise BadInput(
-                f"{path}: is {width}x{height}; give square videos that show what the dataset's "
-                "clips show"
-            )
-        if height != IMAGE_SIZE:
-            how = cv2.INTER_AREA if height > IMAGE_SIZE else cv2.INTER_CUBIC
+        if len(frame) != IMAGE_SIZE:
+            how = cv2.INTER_AREA if len(frame) > IMAGE_SIZE else cv2.INTER_CUBIC
             frame = cv2.resize(frame, (IMAGE_SIZE, IMAGE_SIZE), interpolation=how)
         yield frame
 
@@ -103,17 +113,18 @@ def _batches(frames: Iterator[NDArray]) -> Iterator[torch.Tensor]:
 def watch(path: Path, space: RegionSpace, estimator: RegionEstimator) -> Watched:
     """Measure a video's motion and hear its sound.
 
-    The sound is that of the file, else that of the reference's clip of the same name; a video
-    with neither has no onsets. The speaker is that of the clip; a video without a clip is of the
-    dataset's only speaker, if there is but one, else of an unknown one.
+    The sound is that of the file, else that of the reference's test clip of the same name; a video
+    with neither has no onsets. The speaker is that of the clip of this name, of whatever split; a
+    video without a clip is of the dataset's only speaker, if there is but one, else of an unknown
+    one.
 
     Raises:
         BadInput: the video cannot be used.
     """
     info = probe(path)
     motion = measure_motion(estimator, _batches(square_frames(path)))
-    clips = {clip.name: clip for clip in (*space.train, *space.test)}
-    clip = clips.get(path.stem)
+    clip = next((clip for clip in space.test if clip.name == path.stem), None)
+    own = next((clip for clip in space.train if clip.name == path.stem), clip)
     frames = motion.frames if clip is None else min(motion.frames, clip.motion.frames)
     if info.has_sound:
         times = onset_times(read_sound(path, origin=info.start)).astype(np.float64)
@@ -121,7 +132,7 @@ def watch(path: Path, space: RegionSpace, estimator: RegionEstimator) -> Watched
     else:
         onsets = np.zeros(0) if clip is None else onsets_within(clip, frames)
     speakers = space.statistics.speakers
-    speaker = clip.speaker if clip else (speakers[0] if len(speakers) == 1 else None)
+    speaker = own.speaker if own else (speakers[0] if len(speakers) == 1 else None)
     truth = None if clip is None else clip.motion[:frames]
     return Watched(path, clip, Performance(path.stem, speaker, motion[:frames], onsets, truth))
 
@@ -139,7 +150,8 @@ def evaluate_videos(
     """Score a folder of videos of any system, and write the report.
 
     Args:
-        folder: videos, square, framed as the clips; those named like a clip are compared with it.
+        folder: videos, square, framed as the clips; those named like a test clip are compared
+            with it.
         reference: dataset with the true motion of test clips.
         bundle_folder: bundle whose region estimator sees both; only its renderer is needed.
         output: folder of the report.
@@ -161,6 +173,9 @@ def evaluate_videos(
     paths = videos_in(Path(folder))
     if not paths:
         raise BadInput(f"{folder}: holds no videos")
+    for path in paths:
+        check_square(path)
+    check_perceptual(config)
     own = config.detected
     if own is not None and not any((own / f"{path.stem}.npz").is_file() for path in paths):
         raise BadInput(f"{own}: holds no NAME.npz for a video NAME of {folder}")
@@ -176,7 +191,7 @@ def evaluate_videos(
                 advance()
         known = sum(w.clip is not None for w in watched)
         (name,) = row_names([folder])
-        about = f"{len(watched)} videos, {known} of them named like a clip of the dataset."
+        about = f"{len(watched)} videos, {known} of them named like a test clip of the dataset."
         rows = [*baselines(space, seeds_of(config)), Row(name, about, [_performances(watched)])]
         model, scale, origin = find_autoencoder(space, part, 0, config)
         judge = make_judge(space, model, scale)

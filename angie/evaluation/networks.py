@@ -108,6 +108,16 @@ def stored_autoencoder(path: Path, estimator: str) -> StoredAutoencoder:
     return stored
 
 
+def check_perceptual(config: EvaluationConfig) -> None:
+    """See that weights for the perceptual distance can be used, before minutes of work.
+
+    Raises:
+        BadInput: they cannot.
+    """
+    if config.images and config.perceptual_weights:
+        PerceptualDistance(config.perceptual_weights)
+
+
 def find_autoencoder(
     space: RegionSpace, folder: Path, number: int, config: EvaluationConfig
 ) -> tuple[MotionAutoencoder | None, MotionScale, dict[str, Any]]:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from angie.metrics.score import Score
+from angie.metrics.score import Score, not_finite
 
 PAIRS = 500
 """Pairs of windows that are compared (HA2G)."""
@@ -25,6 +25,9 @@ def shuffled(features: NDArray, seed: int = 0) -> Score:
         seed: of the permutation.
     """
     features = np.asarray(features, np.float64)
+    broken = not_finite([features])
+    if broken is not None:
+        return broken
     count = min(len(features), PAIRS)
     if count < 2:
         return Score.missing("fewer than two windows; longer clips are needed", windows=count)
@@ -44,6 +47,9 @@ def across_clips(features: NDArray, clips: Sequence[int] | NDArray, seed: int = 
         seed: of the pairs.
     """
     features, clips = np.asarray(features, np.float64), np.asarray(clips)
+    broken = not_finite([features])
+    if broken is not None:
+        return broken
     pairs = _disjoint_pairs(clips, seed)
     counts = {"windows": len(features), "pairs": len(pairs)}
     if not len(pairs):
@@ -74,6 +80,9 @@ def pairwise(rows: NDArray, seed: int = 0) -> Score:
         seed: of the choice of 2000 windows, where there are more.
     """
     rows = np.asarray(rows, np.float64)
+    broken = not_finite([rows])
+    if broken is not None:
+        return broken
     windows = len(rows)
     if windows < 2:
         return Score.missing("fewer than two windows; longer clips are needed", windows=windows)

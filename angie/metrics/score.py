@@ -50,6 +50,6 @@ class Score:
 
 
 def not_finite(*motions: Sequence[NDArray]) -> Score | None:
-    """Why clips (T, n, D) cannot be scored when numbers of theirs are not finite, else None."""
+    """Why clips, or windows, cannot be scored when numbers of theirs are not finite, else None."""
     broken = sum(not np.isfinite(clip).all() for clips in motions for clip in clips)
     return Score.missing("motion is not finite", **{"not finite": broken}) if broken else None

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from angie.metrics.score import Score, not_finite
 
+ENOUGH = 10
+"""Frames for each dimension that CCA over all clips wants; fewer correlate by themselves."""
+
 CONSTANT = 1e-8
 """Standard deviation up to which a dimension counts as constant and is dropped from CCA."""
 
@@ -114,7 +117,9 @@ def global_cca(real: Sequence[NDArray], made: Sequence[NDArray]) -> Score:
     value = canonical_correlation(*stacked)
     if isinstance(value, str):
         return Score.missing(value, frames=frames)
-    return Score(value, counts={"frames": frames})
+    wanted = ENOUGH * sum(part.shape[1] for part in stacked)
+    few = f"{frames} frames; {wanted} are wanted, fewer correlate by themselves"
+    return Score(value, counts={"frames": frames}, warning="" if frames >= wanted else few)
 
 
 def cca(real: Sequence[NDArray], made: Sequence[NDArray]) -> Score:

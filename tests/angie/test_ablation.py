@@ -8,7 +8,15 @@ from functools import partial
 import pytest
 import torch
 
-from angie.ablation import COLUMNS, VARIANTS, ablate, broken_share, settings_of, table
+from angie.ablation import (
+    COLUMNS,
+    VARIANTS,
+    _copy_motion,
+    ablate,
+    broken_share,
+    settings_of,
+    table,
+)
 from angie.bundle import Bundle
 from angie.cli import main
 from angie.demo import BUNDLE
@@ -182,6 +190,18 @@ def test_weights_that_the_renderer_began_with_are_not_needed(dataset, tmp_path):
         ablate(dataset.path, BUNDLE, tmp_path, variants=["full"], run=CPU)
 
 
+def test_regions_are_measured_once_for_all_variants(tmp_path):
+    for name in ("mu_L", "full"):
+        (tmp_path / name).mkdir()
+    _copy_motion(tmp_path / "mu_L")  # the first one has to measure them
+    assert not (tmp_path / "mu_L" / "train").exists()
+    (tmp_path / "mu_L" / "train" / "motion").mkdir(parents=True)
+    (tmp_path / "mu_L" / "train" / "motion" / "a.npz").write_bytes(b"motion")
+    _copy_motion(tmp_path / "full")
+    assert (tmp_path / "full" / "train" / "motion" / "a.npz").read_bytes() == b"motion"
+    _copy_motion(tmp_path / "full")  # and is left alone
+
+
 def test_a_variant_is_one_setting():
     base = preset("paper")
     for name in VARIANTS:
@@ -200,9 +220,15 @@ def test_the_table_of_hand_made_numbers():
         "definitions": [{"key": key, "title": key.upper(), "digits": 1} for key in keys],
         "spaces": [
             {
-                "rows": [{"name": "full", "scores": {key: score(1.0) for key in keys[:3]}}],
+                "rows": [
+                    {"name": name, "scores": {key: score(value) for key in keys[:3]}}
+                    for name, value in (("full", 1.0), ("other", None))
+                ],
                 "images": {
-                    "rows": [{"name": "full", "scores": {key: score(None) for key in keys[3:]}}]
+                    "rows": [
+                        {"name": "full", "scores": {k: score(i) for i, k in enumerate(keys[3:])}},
+                        {"name": "other", "scores": {key: score(None) for key in keys[3:]}},
+                    ]
                 },
             }
         ],
@@ -211,5 +237,6 @@ def test_the_table_of_hand_made_numbers():
         "|  | FGD | BC | DIVERSITY_HA2G | L1 | PERCEPTUAL | AED | L1_DRAWN | PERCEPTUAL_DRAWN | "
         "C broken |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
-        "| full | 1.0 | 1.0 | 1.0 | - | - | - | - | - | 25.0 % |",
+        "| full | 1.0 | 1.0 | 1.0 | 0.0 | 1.0 | 2.0 | 3.0 | 4.0 | 25.0 % |",
+        "| other | - | - | - | - | - | - | - | - | - |",
     ]

@@ -69,6 +69,10 @@ def test_bad_requests_leave_nothing_behind(shipped, tmp_path):
     (tmp_path / "sheet.mp4").touch()
     with pytest.raises(BadInput, match="sheet.mp4"):
         code_sheet(shipped, [PHOTO], tmp_path / "sheet.png")
+    (tmp_path / "folder.png").mkdir()
+    with pytest.raises(BadInput, match=r"folder\.png: is a folder"):
+        code_sheet(shipped, [tmp_path / "none.png"], tmp_path / "folder.png", force=True)
+    (tmp_path / "folder.png").rmdir()
     copy = tmp_path / "copy.png"
     shutil.copy(PHOTO, copy)
     with pytest.raises(BadInput, match="copy.png"):

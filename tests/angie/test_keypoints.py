@@ -313,6 +313,30 @@ def test_other_grids_are_another_training_of_the_gpt_alone(model, data, tmp_path
     assert [a == b for a, b in zip(before, after, strict=True)] == [True, False, True]
 
 
+def test_the_gpt_and_what_stands_in_its_place_learn_on_the_grids_asked_for(
+    model, data, tmp_path, monkeypatch
+):
+    asked = []
+    trainer = Trainer(
+        KeypointDataset(data, tmp_path), Bundle.open(model), 0, RunConfig(), False,
+        Fabric(accelerator="cpu"),
+    )  # fmt: skip
+
+    def windows(stride, grids=1):
+        asked.append((stride, grids))
+        raise InterruptedError
+
+    monkeypatch.setattr(trainer, "windows", windows)
+    base = trainer.bundle.preset
+    training = dataclasses.replace(base.train_gpt, grids=4, stride=16)
+    for quant, stage in (("full", "gpt"), ("full", "vq"), ("no_quant", "vq")):
+        vq = dataclasses.replace(base.vq, quant=quant)
+        trainer.bundle.preset = dataclasses.replace(base, vq=vq, train_gpt=training)
+        with pytest.raises(InterruptedError):
+            getattr(trainer, stage)()
+    assert asked == [(16, 4), (base.train_vq.stride, 1), (16, 4)]
+
+
 def test_the_recording_of_a_clip_is_the_one_of_its_name(data, tmp_path):
     folder = tmp_path / "data"
     shutil.copytree(data, folder)

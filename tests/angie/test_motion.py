@@ -101,7 +101,7 @@ def test_render_floor_leaves_the_start_pose_alone():
 
 
 def test_a_motion_file_reads_back_and_knows_its_estimator(tmp_path):
-    motion = Motion(torch.randn(5, 3, 2), torch.randn(5, 3, 3))
+    motion = Motion(torch.randn(5, 3, 2), torch.rand(5, 3, 3) + 0.1)
     write_motion(tmp_path / "a.npz", motion, "abc")
     again = read_motion(tmp_path / "a.npz", "abc")
     assert torch.equal(again.vector(), motion.vector())
@@ -112,7 +112,7 @@ def test_a_motion_file_reads_back_and_knows_its_estimator(tmp_path):
 
 
 def test_generated_regions_are_read_where_any_estimator_will_do(tmp_path):
-    motion = Motion(torch.randn(5, 3, 2), torch.randn(5, 3, 3))
+    motion = Motion(torch.randn(5, 3, 2), torch.rand(5, 3, 3) + 0.1)
     path = tmp_path / "a.npz"
     np.savez(path, shift=motion.shift, cholesky=motion.cholesky, fps=np.array(25.0))
     assert torch.equal(read_motion(path).vector(), motion.vector())
@@ -126,12 +126,27 @@ def test_generated_regions_are_read_where_any_estimator_will_do(tmp_path):
         ({"points": np.zeros((5, 3, 2))}, "shift is not a file"),
         ({"shift": np.zeros((5, 3, 2)), "cholesky": np.zeros((5, 2, 3))}, r"\(5, 2, 3\)"),
         ({"shift": np.full((5, 3, 2), 1e300), "cholesky": np.ones((5, 3, 3))}, "not finite"),
+        ({"shift": np.zeros((5, 3, 2)), "cholesky": np.full((5, 3, 3), -1)}, "not above 0"),
     ],
 )
 def test_other_arrays_are_no_motion_of_regions(tmp_path, arrays, words):
     np.savez(tmp_path / "a.npz", **arrays)
     with pytest.raises(BadInput, match=rf"a\.npz: .*{words}.*wanted is an \.npz"):
         read_motion(tmp_path / "a.npz")
+
+
+def test_what_is_no_array_is_told_plainly(tmp_path):
+    (tmp_path / "a.npz").write_text("words")
+    with pytest.raises(BadInput, match=r"a\.npz: not a motion file \(no array file\); wanted is"):
+        read_motion(tmp_path / "a.npz")
+
+
+def test_motion_of_the_same_kind_of_vectors():
+    regions, points = Motion(torch.randn(2, 3, 2), torch.rand(2, 3, 3)), torch.randn(2, 4, 2)
+    assert torch.equal(regions.like(regions.vector()).cholesky, regions.cholesky)
+    joints = Motion.of_points(points)
+    again = joints.like(joints.vector())
+    assert torch.equal(again.shift, points) and not again.has_extent
 
 
 def test_joints_are_no_motion_of_regions(tmp_path):

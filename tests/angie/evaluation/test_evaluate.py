@@ -8,9 +8,9 @@ import pytest
 
 from angie.demo import BUNDLE
 from angie.evaluation.evaluate import _grouped, evaluate
-from angie.evaluation.folder import evaluate_videos
+from angie.evaluation.folder import evaluate_videos, watch
 from angie.evaluation.networks import EvaluationConfig
-from angie.evaluation.pictures import chosen_frames
+from angie.evaluation.pictures import FrameChoice, chosen_frames
 from angie.evaluation.videos import padded
 from data_prep.errors import BadInput
 from data_prep.video import VideoWriter, probe
@@ -193,6 +193,42 @@ def test_bad_folders_of_videos_are_refused(folder, dataset, bundle, tmp_path):
                 EvaluationConfig(images=False, fgd_steps=1),
             )
     assert not list(tmp_path.glob("*out*")) and not list(tmp_path.glob(".*"))
+
+
+def test_what_cannot_be_used_is_told_before_anything_is_measured(
+    folder, dataset, bundle, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("angie.evaluation.folder.open_space", lambda *_: pytest.fail("measured"))
+    (folder / "z.mp4").write_bytes(b"no video")
+    with pytest.raises(BadInput, match=r"z\.mp4"):
+        evaluate_videos(folder, dataset.path, bundle.folder, tmp_path / "out")
+    (folder / "z.mp4").unlink()
+    weights = tmp_path / "vgg.pth"
+    weights.write_bytes(b"no weights")
+    config = EvaluationConfig(perceptual_weights=str(weights))
+    with pytest.raises(BadInput, match=r"vgg\.pth"):
+        evaluate_videos(folder, dataset.path, bundle.folder, tmp_path / "out", config)
+
+
+def test_a_video_named_like_a_training_clip_has_its_speaker_and_no_truth(space, tmp_path):
+    path = tmp_path / f"{space.train[0].name}.mp4"
+    with VideoWriter(path, (64, 64)) as video:
+        for _ in range(4):
+            video.write(np.zeros((64, 64, 3), np.uint8))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            "angie.evaluation.folder.measure_motion", lambda *_: space.train[0].motion[:4]
+        )
+        watched = watch(path, space, None)
+    assert watched.clip is None and watched.performance.truth is None
+    assert watched.performance.speaker == space.train[0].speaker
+
+
+def test_frames_of_the_beginning_alone():
+    assert FrameChoice(24, 2.0).numbers(250).tolist() == [24, 25, 48, 49]
+    assert FrameChoice(24).numbers(60).tolist() == [24, 25, 48, 49]
+    assert FrameChoice(24, 0.5).numbers(250).tolist() == [10, 11]
+    assert "in the first 2 s" in str(FrameChoice(24, 2.0)) and "first" not in str(FrameChoice(24))
 
 
 def test_a_clip_shorter_than_the_stride_gives_its_last_two_frames():

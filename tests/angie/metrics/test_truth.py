@@ -71,6 +71,13 @@ def test_cca_tells_why_it_has_no_value(rng):
     assert truth.cca([half], [half]).value == pytest.approx(1)
 
 
+def test_cca_of_few_frames_is_told_to_be_high_by_itself(rng):
+    real, made = rng.normal(size=(2, 100, 2, 2))
+    few, many = truth.global_cca([real[:30]], [made[:30]]), truth.global_cca([real], [made])
+    assert few.warning.startswith("30 frames; 80 are wanted") and not many.warning
+    assert few.value > many.value
+
+
 @pytest.mark.parametrize("hole", [np.nan, np.inf])
 def test_motion_that_is_not_finite_is_told(rng, hole):
     real = rng.normal(size=(30, 2, 2))
