@@ -8,7 +8,9 @@ speakers that the bundle was trained on:
 codes     Perplexity of each stream, against that of as many clusters (k-means of the deltas of 8
           frames, as many centres as codes, counted on the same test tokens): what a codebook can
           use of this data without knowing more than a token. Correlation of the reconstructed
-          shifts with the true ones over windows of 96 frames, each from its true first frame.
+          shifts with the true ones over windows of 96 frames, each from its true first frame:
+          encoded by itself, and `correlation in use`, in the context that the GPT's codes have
+          (`vq.context`).
 hearing   Cross-entropy in nats per code with the own sound, with that of another clip of the same
           speaker, and of an order-2 model of the codes (`angie.hearing`).
 beats     Beat consistency of the truth and of what is generated, with and without the refiner,
@@ -58,7 +60,7 @@ from angie.generator import AngieGenerator
 from angie.hearing import hearing
 from angie.metrics.beats import consistency, usual_steps
 from angie.motion import Motion
-from angie.patterns import STREAMS, perplexity, reconstruction
+from angie.patterns import STREAMS, correlation, patterns, perplexity, reconstruction
 from angie.quantisation import Channels
 from angie.statistics import MotionStatistics
 from angie.train_gpt import code_windows
@@ -109,6 +111,7 @@ def supported(train: NDArray, test: NDArray, codes: int) -> float:
 def codes_of(bundle: Bundle, train: MotionWindows, test: MotionWindows) -> dict[str, Any]:
     """Reconstruction and use of the codes on test windows."""
     scores: dict[str, Any] = reconstruction(bundle.vq(), test)
+    scores["correlation in use"] = correlation_in_use(bundle, test)
     split, size = 2 * train.statistics.regions, bundle.preset.vq.codes
     seen, held = pieces(train), pieces(test)
     for name, part in zip(STREAMS, (slice(0, split), slice(split, None)), strict=True):
@@ -116,6 +119,15 @@ def codes_of(bundle: Bundle, train: MotionWindows, test: MotionWindows) -> dict[
         scores[f"{name}_supported"] = most
         scores[f"{name}_share"] = scores[f"{name}_perplexity"] / most
     return scores
+
+
+def correlation_in_use(bundle: Bundle, windows: MotionWindows) -> float:
+    """Correlation of shifts over windows, encoded and decoded as in generation."""
+    vq, channels = bundle.vq(), Channels.of(windows.statistics, bundle.preset.vq.quant)
+    poses = windows.choose(["poses"]).stack("poses", 0, len(windows))
+    made = channels.integrate(patterns(vq, windows), poses[:, 1])
+    split = 2 * windows.statistics.regions
+    return correlation(made[..., :split], poses[:, 1:, :split])
 
 
 def speed(motion: Motion, statistics: MotionStatistics) -> NDArray:

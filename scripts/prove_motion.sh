@@ -30,8 +30,8 @@ joint=(
   train_refiner.schedule.most_steps=3000
 )
 single=(
-  train_vq.schedule.most_steps=4500 train_gpt.schedule.most_steps=700
-  train_refiner.schedule.most_steps=600
+  train_vq.schedule.most_steps=6000 train_vq.summed=0.6 train_gpt.schedule.most_steps=700
+  train_refiner.schedule.most_steps=1500
 )
 variant=(
   train_vq.schedule.most_steps=1500 train_gpt.schedule.most_steps=300 train_gpt.grids=1
@@ -90,6 +90,11 @@ checked check "${bundles[@]}"
 [ -f "$work/ablations/table3.md" ] ||
   "${angie[@]}" ablate "$set" "$work/base" -o "$work/ablations" --fgd "$work/report/fgd-0.safetensors" \
     --seeds 3 --image-stride 300 ${VARIANTS:+--variants "$VARIANTS"} "${settings[@]}" "${variant[@]}"
+rows=()
+for bundle in "$work"/ablations/*/bundle.json; do rows+=("$(dirname "$bundle")"); done
+[ -f "$work/report-early/results.json" ] || # pictures of the first two seconds
+  "${angie[@]}" evaluate "$set" "${rows[@]}" -o "$work/report-early" --image-seconds 2 \
+    --image-stride 24 --videos-shown 0 --fgd "$work/report/fgd-0.safetensors"
 own=()
 for name in ${SPEAKERS-adam bella carl dora}; do
   copied "$name"
