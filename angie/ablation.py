@@ -160,8 +160,12 @@ def _train(
 ) -> None:
     """Train what a variant's bundle lacks; renderer and motion are the source's."""
     if not (folder / "bundle.json").is_file():
-        copy_renderer(source, folder, preset)
-        _copy_motion(folder)
+        begun = folder.with_name(f".{folder.name}.part")  # whole or not at all
+        for left in (begun, folder):
+            shutil.rmtree(left, ignore_errors=True)
+        copy_renderer(source, begun, preset)
+        _copy_motion(begun)
+        begun.rename(folder)
     full = folder.parent / "full"
     if not preset.generation.refine:
         console.print("no_refine: the parts of full")

@@ -14,8 +14,8 @@ a second for the models and comes back at any rate.
 import csv
 import glob
 import hashlib
-import zipfile
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +25,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from angie.clips import MotionClip
-from angie.motion import Motion
+from angie.motion import UNREADABLE, Motion
 from data_prep.dataset import write_features
 from data_prep.errors import BadInput
 from data_prep.features import SpeechFeatures, speech_features
@@ -90,20 +90,33 @@ def resample(points: NDArray, fps: float, to: float) -> NDArray:
     return np.stack(columns, axis=1).reshape(len(wanted), *points.shape[1:])
 
 
+def _arrays(path: Path) -> dict[str, NDArray]:
+    """`points` and `fps` of an .npz file, as far as it has them; the array of an .npy file.
+
+    Raises:
+        BadInput: unreadable.
+    """
+    try:
+        loaded = np.load(path, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            return {"points": loaded}
+        with loaded as file:
+            return {name: file[name] for name in ("points", "fps") if name in file.files}
+    except UNREADABLE as error:
+        what = "no array file" if "pickle" in str(error) else " ".join(str(error).split())
+        raise BadInput(f"{path}: not a readable array ({what})") from error
+
+
 def read_points(path: Path) -> NDArray:
     """Joints (T, J, 2) float64 of an .npy file, or of `points` in an .npz file.
 
     Raises:
         BadInput: unreadable, of another shape, or with numbers that are not finite in float32.
     """
-    try:
-        loaded = np.load(path, allow_pickle=False)
-        points = loaded if isinstance(loaded, np.ndarray) else loaded["points"]
-    except KeyError as error:
-        raise BadInput(f"{path}: has no array `points`") from error
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        what = "no array file" if "pickle" in str(error) else str(error).splitlines()[0]
-        raise BadInput(f"{path}: not a readable array ({what})") from error
+    arrays = _arrays(path)
+    if "points" not in arrays:
+        raise BadInput(f"{path}: has no array `points`")
+    points = arrays["points"]
     if points.ndim != 3 or points.shape[2] != 2 or not points.size:
         raise BadInput(f"{path}: holds {points.shape}, wanted are joints (T, J, 2)")
     if points.dtype.kind not in "fiu" or not np.isfinite(points).all():
@@ -120,12 +133,9 @@ def read_rate(path: Path) -> float | None:
     Raises:
         BadInput: it is no rate from 1 to 1000.
     """
-    if path.suffix != ".npz":
+    stated = _arrays(path).get("fps")
+    if stated is None:
         return None
-    with np.load(path, allow_pickle=False) as file:
-        if "fps" not in file.files:
-            return None
-        stated = file["fps"]
     fps = float(stated) if stated.size == 1 and stated.dtype.kind in "fiu" else 0.0
     if not 1 <= fps <= 1000:
         raise BadInput(f"{path}: fps {stated} is no rate from 1 to 1000")
@@ -145,6 +155,7 @@ class KeypointDataset:
 
     def __init__(self, path: Path, cache: Path) -> None:
         self.path, self.cache = Path(path), Path(cache)
+        self._joints: dict[str, int] = {}
         self._clips = [self._clip(row) for row in self._rows()]
         names = [clip.id for clip in self._clips]
         if len(set(names)) < len(names):
@@ -153,7 +164,7 @@ class KeypointDataset:
     def _rows(self) -> list[dict[str, str]]:
         path = self.path / INDEX
         try:
-            with path.open(newline="") as file:
+            with path.open(newline="", encoding="utf-8-sig") as file:
                 reader = csv.DictReader(file)
                 if not set(COLUMNS) <= set(reader.fieldnames or ()):
                     raise BadInput(f"{path}: needs the columns {', '.join(COLUMNS)}")
@@ -173,6 +184,7 @@ class KeypointDataset:
         if not 1 <= fps <= 1000:
             raise BadInput(f"{index}: {name}: fps {row['fps']} is no rate from 1 to 1000")
         points = read_points(self._motion_file(name))
+        self._joints[name] = points.shape[1]
         frames = len(resample(points[:, :1], fps, FPS))
         return KeypointClip(name, row["speaker"], row["split"], fps, frames)
 
@@ -193,7 +205,7 @@ class KeypointDataset:
             raise BadInput(f"{self.path}: audio holds {both}; leave one recording a clip")
         return paths[0]
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """Hash of the index, of all motion and of all recordings."""
         total = hashlib.sha256((self.path / INDEX).read_bytes())
@@ -216,7 +228,7 @@ class KeypointDataset:
         Raises:
             BadInput: clips with different numbers of joints.
         """
-        counts = {c.id: read_points(self._motion_file(c.id)).shape[1] for c in self._clips}
+        counts = self._joints
         if len(set(counts.values())) > 1:
             least, most = min(counts, key=counts.__getitem__), max(counts, key=counts.__getitem__)
             raise BadInput(

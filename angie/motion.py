@@ -7,7 +7,9 @@ region) followed by the Cholesky block (3K channels): `[mu ; L]`, 100 numbers fo
 (ANGIE, NeurIPS 2022, section 3.2).
 """
 
+import tokenize
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +19,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_prep.errors import BadInput
+
+UNREADABLE = (
+    OSError, KeyError, TypeError, ValueError, EOFError, SyntaxError,
+    zipfile.BadZipFile, zlib.error, tokenize.TokenError,
+)  # fmt: skip
+"""What reading a file of arrays raises that is damaged, or none."""
 
 EPSILON = 1e-5
 """Smallest diagonal entry of a Cholesky factor (ANGIE, section 3.2: ReLU + 1e-5)."""
@@ -245,7 +253,7 @@ def read_motion(path: Path, estimator: str | None = None) -> Motion:
         with loaded as file:
             motion = _checked(file["shift"], file["cholesky"])
             origin = "" if estimator is None else str(file["estimator"])
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except UNREADABLE as error:
         what = "no array file" if "pickle" in str(error) else " ".join(str(error).split())
         raise BadInput(f"{path}: not a motion file ({what}); {wanted}") from error
     if estimator is not None and origin != estimator:

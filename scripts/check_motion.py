@@ -10,7 +10,7 @@ codes     Perplexity of each stream, against that of as many clusters (k-means o
           use of this data without knowing more than a token. Correlation of the reconstructed
           shifts with the true ones over windows of 96 frames, each from its true first frame:
           encoded by itself, and `correlation in use`, in the context that the GPT's codes have
-          (`vq.context`).
+          (`vq.context`; of clips, decoded in windows that blend linearly).
 hearing   Cross-entropy in nats per code with the own sound, with that of another clip of the same
           speaker, and of an order-2 model of the codes (`angie.hearing`).
 beats     Beat consistency of the truth and of what is generated, with and without the refiner,
@@ -122,7 +122,7 @@ def codes_of(bundle: Bundle, train: MotionWindows, test: MotionWindows) -> dict[
 
 
 def correlation_in_use(bundle: Bundle, windows: MotionWindows) -> float:
-    """Correlation of shifts over windows, encoded and decoded as in generation."""
+    """Correlation of shifts over windows, encoded in the context that the GPT learns."""
     vq, channels = bundle.vq(), Channels.of(windows.statistics, bundle.preset.vq.quant)
     poses = windows.choose(["poses"]).stack("poses", 0, len(windows))
     made = channels.integrate(patterns(vq, windows), poses[:, 1])

@@ -79,7 +79,8 @@ def evaluate(
     groups = _grouped(bundles)
     check_perceptual(config)
     if config.fgd is not None:  # told before minutes of work
-        stored_autoencoder(config.fgd, next(iter(groups[0].values())).hash_of("renderer"))
+        for group in groups:
+            stored_autoencoder(config.fgd, next(iter(group.values())).hash_of("renderer"))
     joints = {} if config.truth is None else true_joints(data, config.truth)
     with whole_folder(output, mark=report.MARK, force=force) as part:
         spaces = []
@@ -117,13 +118,15 @@ def _grouped(folders: Sequence[Path]) -> list[dict[str, Bundle]]:
 
 
 def row_names(folders: Sequence[Path]) -> list[str]:
-    """Names of the rows of folders: with their parents', where a name alone would not do."""
-    places = [Path(folder).resolve() for folder in folders]
-    taken = [*(place.name for place in places), TRUE_REGIONS, *REFERENCES]
-    return [
-        place.name if taken.count(place.name) == 1 else f"{place.parent.name}/{place.name}"
-        for place in places
-    ]
+    """Names of the rows of different folders: with as many of their parents as tell them apart."""
+    places = [Path(folder).resolve().parts for folder in folders]
+    names = [""] * len(places)
+    for length in range(1, max(map(len, places)) + 1):
+        longer = ["/".join(parts[-length:]) for parts in places]
+        names = [name or new for name, new in zip(names, longer, strict=True)]
+        taken = [*names, TRUE_REGIONS, *REFERENCES]
+        names = [name if taken.count(name) == 1 else "" for name in names]
+    return [name or "/".join(parts) for name, parts in zip(names, places, strict=True)]
 
 
 def check_whole(bundle: Bundle) -> None:

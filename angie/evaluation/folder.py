@@ -27,6 +27,7 @@ from angie.evaluation.networks import (
     check_perceptual,
     find_autoencoder,
     make_frame_judge,
+    stored_autoencoder,
 )
 from angie.evaluation.pictures import (
     FrameJudge,
@@ -114,8 +115,8 @@ def watch(path: Path, space: RegionSpace, estimator: RegionEstimator) -> Watched
     """Measure a video's motion and hear its sound.
 
     The sound is that of the file, else that of the reference's test clip of the same name; a video
-    with neither has no onsets. The speaker is that of the clip of this name, of whatever split; a
-    video without a clip is of the dataset's only speaker, if there is but one, else of an unknown
+    with neither has no onsets. The speaker is that of the training or test clip of this name; a
+    video without one is of the dataset's only speaker, if there is but one, else of an unknown
     one.
 
     Raises:
@@ -176,6 +177,8 @@ def evaluate_videos(
     for path in paths:
         check_square(path)
     check_perceptual(config)
+    if config.fgd is not None:
+        stored_autoencoder(config.fgd, bundle.hash_of("renderer"))
     own = config.detected
     if own is not None and not any((own / f"{path.stem}.npz").is_file() for path in paths):
         raise BadInput(f"{own}: holds no NAME.npz for a video NAME of {folder}")
@@ -255,7 +258,7 @@ def _images(
         part = None if known is None else known[numbers]
         compare(judge, gathered, true, _chosen(w.path, numbers), seen, part)
     return {
-        "about": f"{config.choice}, of the videos named like a clip. Perceptual distance by "
+        "about": f"{config.choice}, of the videos named like a test clip. Perceptual distance by "
         f"{judge.perceptual.backend}.",
         "rows": [report.numbers_of_images(name, about, gathered.scores())],
     }

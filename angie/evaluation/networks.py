@@ -39,6 +39,10 @@ IDENTITY_CLIPS = 400
 """Training clips from which identities are learnt, at most."""
 
 
+LEAST_SECONDS = 0.12
+"""Least beginning of a clip that has image scores: two frames after the first one."""
+
+
 @dataclass(frozen=True)
 class EvaluationConfig:
     """How an evaluation is made.
@@ -74,6 +78,13 @@ class EvaluationConfig:
     detected: Path | None = None
     greedy: bool = False
     perceptual_weights: str = ""
+
+    def __post_init__(self) -> None:
+        seconds = self.image_seconds
+        if seconds and not LEAST_SECONDS <= seconds < float("inf"):
+            raise BadInput(
+                f"--image-seconds {seconds:g}: give {LEAST_SECONDS} or more, or 0 for all"
+            )
 
     @property
     def choice(self) -> FrameChoice:

@@ -184,12 +184,12 @@ def write_report(folder: Path, title: str, numbers: Mapping[str, Any]) -> None:
 
 def terminal_table(numbers: Mapping[str, Any]) -> str:
     """The most read columns as text."""
-    columns = [c for c in MOTION if c.key in SHORT]
     lines = []
     for space in numbers["spaces"]:
         if len(numbers["spaces"]) > 1:
             lines.append(f"regions {space['estimator'][:12]}")
-        lines += _aligned(space["rows"], [c for c in columns if _any(space["rows"], c.key)])
+        keys = [key if space["kind"] == "regions" else key.removesuffix("_px") for key in SHORT]
+        lines += _aligned(space["rows"], [c for c in MOTION if c.key in keys])
         if space["images"] is not None:
             shown = [c for c in IMAGES if _any(space["images"]["rows"], c.key)]
             lines += ["", *_aligned(space["images"]["rows"], shown)]

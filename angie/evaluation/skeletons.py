@@ -31,7 +31,7 @@ from angie.motion import Motion
 from angie.statistics import measure
 from data_prep.errors import BadInput
 from data_prep.output import check_apart, whole_folder
-from data_prep.rates import FPS
+from data_prep.rates import FPS, FRAMES_PER_TOKEN
 
 
 def evaluate_joints(
@@ -70,6 +70,7 @@ def evaluate_joints(
         data = KeypointDataset(folder, cache)
         _check(data, models, config)
         found = {name: read_arrays(data, place) for name, place in arrays.items()}
+        data.check_sound()
         space = open_joints(data)
         rows = make_rows(space, models, config)
         rows += [array_row(space, name, motions) for name, motions in found.items()]
@@ -80,6 +81,8 @@ def evaluate_joints(
         shown = space.test[spread(space.test, 1)[0]].name
         told = {name: told_of(bundle, data) for name, bundle in models.items()}
         result = report.numbers_of_space(space, judge, rows, scored, shown, bins, origin, told)
+        for name, motions in found.items():
+            result["warnings"] += shorter_or_longer(space, name, motions)
         numbers = numbers_of(data, [result | {"images": None, "videos": []}], config)
         remove_folder(part / "features")
         report.write_report(part, data.path.resolve().name, numbers)
@@ -110,24 +113,35 @@ def _check(data: KeypointDataset, models: dict[str, Bundle], config: EvaluationC
     """See that models and the stored auto-encoder fit the joints.
 
     Raises:
-        BadInput: they do not, or there is no training or no test clip.
+        BadInput: they do not, or there is no training or no test clip, or a speaker has test
+            clips alone.
     """
     for split in ("train", "test"):
         if not data.clips(split):
             raise BadInput(f"{data.path}: has no {split} clips to score with")
+    known = {clip.speaker for clip in data.clips("train")}
+    unknown = sorted({clip.speaker for clip in data.clips("test")} - known)
+    if unknown:
+        raise BadInput(f"{data.path}: {', '.join(unknown)}: FGD needs training clips of a speaker")
     for name, model in models.items():
         regions = model.statistics().regions
         if regions != data.joints():
             raise BadInput(f"{name}: has {regions} joints, {data.path} {data.joints()}")
     if config.fgd is not None:
         stored_autoencoder(config.fgd, data.digest)
-    data.check_sound()
 
 
 def open_joints(data: KeypointDataset) -> RegionSpace:
-    """The clips of a folder of joints, at 25 frames a second."""
+    """The clips of a folder of joints, at 25 frames a second.
+
+    Raises:
+        BadInput: no joint moves.
+    """
     train, test = (data.motion_clips(split) for split in ("train", "test"))
-    return RegionSpace(data.digest, train, test, measure(train), "joints")
+    space = RegionSpace(data.digest, train, test, measure(train), "joints")
+    if not space.active.any():
+        raise BadInput(f"{data.path}: no joint moves in the training clips")
+    return space
 
 
 def read_arrays(data: KeypointDataset, folder: Path) -> dict[str, Motion]:
@@ -154,5 +168,25 @@ def read_arrays(data: KeypointDataset, folder: Path) -> dict[str, Motion]:
 
 def array_row(space: RegionSpace, name: str, motions: dict[str, Motion]) -> Row:
     """The row of a folder of arrays."""
-    run = [perform(clip, motions[clip.name]) for clip in space.test if clip.name in motions]
-    return Row(name, f"Arrays of {len(run)} of {len(space.test)} test clips.", [run])
+    clips = [clip for clip in space.test if clip.name in motions]
+    run = [perform(clip, motions[clip.name]) for clip in clips]
+    there, wanted = (
+        sum(part) / FPS
+        for part in ([p.motion.frames for p in run], [clip.motion.frames for clip in clips])
+    )
+    about = f"Arrays of {len(run)} of {len(space.test)} test clips, {there:.1f} of {wanted:.1f} s."
+    return Row(name, about, [run])
+
+
+def shorter_or_longer(space: RegionSpace, name: str, motions: dict[str, Motion]) -> list[str]:
+    """What to tell of arrays that do not last as long as their clips, by more than a token."""
+    apart = [
+        clip.name
+        for clip in space.test
+        if clip.name in motions
+        and abs(motions[clip.name].frames - clip.motion.frames) > FRAMES_PER_TOKEN
+    ]
+    if not apart:
+        return []
+    return [f"{name}: {len(apart)} arrays, such as {apart[0]}, are not as long as their clips; "
+            "both are cut to the shorter"]  # fmt: skip

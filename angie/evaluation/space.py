@@ -5,6 +5,7 @@ common, nor have regions and joints, so scores can be compared within a space al
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -47,15 +48,19 @@ class RegionSpace:
         """Pixels of one unit of the motion; None where joints have a unit of their own."""
         return PIXEL if self.kind == "regions" else None
 
+    @cached_property
+    def _steps(self) -> NDArray:
+        return usual_steps([points(clip.motion) for clip in self.train])
+
     @property
     def active(self) -> NDArray:
-        """(K,) bool, the regions that gesture."""
-        return self.statistics.active.numpy()
+        """(K,) bool, the points that gesture; one that never moves is none of them."""
+        return self.statistics.active.numpy() & (self._steps > 0)
 
     @property
     def usual(self) -> NDArray:
-        """(A,) mean step of the active regions in the training clips, for beat consistency."""
-        return usual_steps([points(clip.motion)[:, self.active] for clip in self.train])
+        """(A,) mean step of the active points in the training clips, for beat consistency."""
+        return self._steps[self.active]
 
     @property
     def scale(self) -> MotionScale:

@@ -1,5 +1,6 @@
 """Joints in place of regions: a dataset of arrays trained and generated end to end."""
 
+import contextlib
 import dataclasses
 import json
 import shutil
@@ -12,7 +13,7 @@ from lightning_fabric import Fabric
 from angie.bundle import Bundle
 from angie.cli import main
 from angie.demo import BUNDLE
-from angie.keypoints import KeypointDataset, read_points, resample
+from angie.keypoints import KeypointDataset, read_points, read_rate, resample
 from angie.summary import describe
 from angie.training import Trainer
 from data_prep.errors import BadInput
@@ -181,6 +182,28 @@ def test_models_and_arrays_are_scored_beside_the_baselines(model, data, tmp_path
     assert "mean speed, units/s" in page and "joints of the dataset sha256" in page
 
 
+def test_arrays_that_end_early_are_told_and_a_joint_that_never_moves_is_left_out(
+    data, tmp_path, capsys
+):
+    folder, early = tmp_path / "data", tmp_path / "early"
+    shutil.copytree(data, folder)
+    early.mkdir()
+    for path in sorted((folder / "motion").iterdir()):
+        points = read_points(path)
+        points[:, 0] = 0  # as a root that all others are given from
+        path.unlink()
+        np.save(path.with_suffix(".npy"), points)
+        np.save(early / f"{path.stem}.npy", points[:30])
+    report = tmp_path / "report"
+    status, text, error = call(
+        capsys, "evaluate", folder, early, "-o", report, "--fgd-steps", 2, "--videos-shown", 0
+    )
+    assert status == 0 and "2 arrays, such as c10, are not as long" in text + error
+    (space,) = json.loads((report / "results.json").read_text())["spaces"]
+    assert space["active_regions"] == [1, 2]
+    assert "3.9 of 11.9 s" in space["rows"][-1]["about"]
+
+
 def test_what_cannot_be_scored_on_joints_is_told(model, data, tmp_path, capsys):
     folder = tmp_path / "arrays"
     folder.mkdir()
@@ -194,10 +217,28 @@ def test_what_cannot_be_scored_on_joints_is_told(model, data, tmp_path, capsys):
     np.save(folder / "c10.npy", np.zeros((90, 5, 2)))
     status, _, error = call(capsys, "evaluate", data, folder, "-o", tmp_path / "report")
     assert status == 2 and "has 5 joints" in error and "3" in error
-    np.savez(folder / "c10.npz", points=np.zeros((90, JOINTS, 2)), fps=0.0)
     (folder / "c10.npy").unlink()
-    status, _, error = call(capsys, "evaluate", data, folder, "-o", tmp_path / "report")
-    assert status == 2 and "no rate from 1 to 1000" in error
+    good = np.zeros((90, JOINTS, 2))
+    for arrays, words in (
+        ({"points": good, "fps": 0.0}, "no rate from 1 to 1000"),
+        ({"points": good, "fps": np.array([None])}, "no array file"),
+        ({"joints": good}, "no array `points`"),
+    ):
+        np.savez(folder / "c10.npz", **arrays)
+        status, _, error = call(capsys, "evaluate", data, folder, "-o", tmp_path / "report")
+        assert status == 2 and words in error and error.count("\n") == 1
+    np.savez(folder / "c10.npz", points=good)
+    whole = (folder / "c10.npz").read_bytes()
+    for damage in range(0, 300, 7):  # of the archive's and the array's heads
+        broken = bytearray(whole)
+        broken[damage] ^= 0xFF
+        (folder / "c10.npz").write_bytes(broken)
+        with contextlib.suppress(BadInput):
+            read_points(folder / "c10.npz")
+    np.save(folder / "c10.npy", np.zeros((90, JOINTS, 2)))
+    (folder / "c10.npy").rename(folder / "c10.npz")
+    assert read_points(folder / "c10.npz").shape == good.shape
+    assert read_rate(folder / "c10.npz") is None
     assert not (tmp_path / "report").exists()
 
 
@@ -347,7 +388,7 @@ def test_the_recording_of_a_clip_is_the_one_of_its_name(data, tmp_path):
     assert np.array_equal(joints.sound("c0"), KeypointDataset(data, tmp_path).sound("c0"))
     before = joints.digest
     shutil.copy(audio / "c1.wav", audio / "c0.wav")
-    assert joints.digest != before
+    assert KeypointDataset(folder, tmp_path / "cache").digest != before
     (audio / "c0.mp3").touch()
     with pytest.raises(BadInput, match="c0.mp3 and c0.wav; leave one"):
         joints.sound("c0")

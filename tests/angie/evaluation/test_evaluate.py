@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from angie.demo import BUNDLE
-from angie.evaluation.evaluate import _grouped, evaluate
+from angie.evaluation.evaluate import _grouped, evaluate, row_names
 from angie.evaluation.folder import evaluate_videos, watch
 from angie.evaluation.networks import EvaluationConfig
 from angie.evaluation.pictures import FrameChoice, chosen_frames
@@ -222,6 +222,17 @@ def test_a_video_named_like_a_training_clip_has_its_speaker_and_no_truth(space, 
         watched = watch(path, space, None)
     assert watched.clip is None and watched.performance.truth is None
     assert watched.performance.speaker == space.train[0].speaker
+
+
+def test_rows_of_one_name_are_told_apart_by_as_many_parents_as_need_be(tmp_path):
+    places = [tmp_path / name for name in ("p/x/a", "q/x/a", "b", "motionless")]
+    assert row_names(places) == ["p/x/a", "q/x/a", "b", f"{tmp_path.name}/motionless"]
+
+
+@pytest.mark.parametrize("seconds", [0.01, float("inf"), float("nan")])
+def test_a_beginning_without_frames_is_refused(seconds):
+    with pytest.raises(BadInput, match="--image-seconds"):
+        EvaluationConfig(image_seconds=seconds)
 
 
 def test_frames_of_the_beginning_alone():
