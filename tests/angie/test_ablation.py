@@ -106,10 +106,10 @@ def test_the_command_takes_a_stride_of_images_and_a_stored_auto_encoder(
     report = output / "report"
     stored = shutil.copy(report / "fgd-0.safetensors", tmp_path / "stored.safetensors")
     before = json.loads((report / "results.json").read_text())
-    strides = []
+    choices = []
 
-    def unscored(judge, data, clips, drivers, joints, stride, advance):  # to draw takes a minute
-        strides.append(stride)
+    def unscored(judge, data, clips, drivers, joints, choice, advance):  # to draw takes a minute
+        choices.append((choice.stride, choice.seconds))
         return {}
 
     monkeypatch.setattr("angie.evaluation.evaluate.score_pictures", unscored)
@@ -117,7 +117,7 @@ def test_the_command_takes_a_stride_of_images_and_a_stored_auto_encoder(
     monkeypatch.setattr("angie.evaluation.networks.EvaluationConfig", quick)
     status, out, _ = command(
         monkeypatch, capsys, dataset.path, bundle.folder, *FEW_SETTINGS, "-o", output,
-        *("--variants", "no_quant", "--image-stride", 60, "--fgd", stored),
+        *("--variants", "no_quant", "--image-stride", 60, "--image-seconds", 4, "--fgd", stored),
     )  # fmt: skip
     after = json.loads((report / "results.json").read_text())
     assert status == 0 and (report / "fgd-0.safetensors").read_bytes() == stored.read_bytes()
@@ -126,8 +126,10 @@ def test_the_command_takes_a_stride_of_images_and_a_stored_auto_encoder(
         for numbers in (before, after)
     ]
     assert scores[0]["fgd"] == scores[1]["fgd"]
-    assert strides == [60]
-    assert after["spaces"][0]["images"]["about"].startswith("Every 60th frame")
+    assert choices == [(60, 4.0)]
+    assert after["spaces"][0]["images"]["about"].startswith(
+        "Every 60th frame and the one after it in the first 4 s"
+    )
     assert out.splitlines()[-2].startswith("| no_quant | ")
 
 
