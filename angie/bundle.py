@@ -10,6 +10,14 @@
     train/                 checkpoints, curves and caches of training; may be deleted
 
 Every part remembers the hashes of the parts that it was trained on; loading refuses others.
+
+Styles: whose way of gesturing a joint model takes.
+
+A style is a training speaker's embedding in the GPT and nothing else. Pose, place and size stay
+those of the photo, or of whatever motion begins with; drawing a stranger toward the rest pose of
+the training speaker would move the body to where that one sat.
+
+What ships with the package: a speaker bundle, a photo and a recording of our own.
 """
 
 import dataclasses
@@ -28,23 +36,24 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from angie import __version__
-from angie.direct import DirectMotion
-from angie.generator import AngieGenerator
-from angie.gpt import CoSpeechGPT
-from angie.packing import pack, product_type
-from angie.presets import Preset, override
-from angie.refiner import Refiner
-from angie.statistics import MotionStatistics
-from angie.vq import VQConfig, VQMotionExtractor
+from angie.config import Preset, override
+from angie.generators.angie.direct import DirectMotion
+from angie.generators.angie.generate import AngieGenerator
+from angie.generators.angie.gpt import CoSpeechGPT
+from angie.generators.angie.refiner import Refiner
+from angie.generators.angie.tokenizer import VQConfig, VQMotionExtractor
+from angie.layers.packed_linear import pack, product_type
+from angie.motion.statistics import MotionStatistics
 from data_prep.errors import BadInput
-from data_prep.output import whole_file
+from data_prep.files import whole_file
+from data_prep.prepare.source import sha256
 from data_prep.rates import FPS, IMAGE_SIZE
-from data_prep.source import sha256
 from mraa.avd import AvdNetwork
 from mraa.renderer import Renderer, make_avd
 
 FORMAT = 1
 """Version of the bundle's layout; loading refuses newer ones."""
+
 
 _SECTION = {
     "renderer": "renderer",
@@ -53,7 +62,10 @@ _SECTION = {
     "refiner": "refiner",
     "avd": "renderer",
 }
+
+
 _ENTRY = {"file", "sha256", "upstream", "sizes", "report"}
+
 
 UPSTREAM = {
     "renderer": (),
@@ -65,14 +77,18 @@ UPSTREAM = {
 }
 """Parts of a bundle in the order of training, each with those that it is trained on."""
 
+
 OPTIONAL = ("avd",)
 """Parts that a bundle may lack and still be whole."""
+
 
 PARTS = tuple(part for part in UPSTREAM if part not in OPTIONAL)
 """Parts that gesturing to speech needs, with regions and codes; see `Bundle.parts`."""
 
+
 STAGE_OF = {"statistics": "motion"}
 """Name of the training stage that makes a part, where it is not the part's own name."""
+
 
 TRAIN = "train"
 """Folder in a bundle for checkpoints, curves and caches."""
@@ -359,3 +375,48 @@ def halve(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {
         k: v.half() if v.dtype == torch.float32 and v.ndim > 1 else v for k, v in tensors.items()
     }
+
+
+def styles(bundle: Bundle) -> tuple[str, ...]:
+    """Names of the training speakers that a joint model tells apart; none if it is not joint.
+
+    Raises:
+        BadInput: the model is joint, but was not measured on anyone yet.
+    """
+    return bundle.statistics().speakers if bundle.preset.gpt.joint else ()
+
+
+def check_style(bundle: Bundle, style: str | None) -> None:
+    """Refuse a style that a bundle does not have, before anything long begins.
+
+    Args:
+        bundle: a speaker bundle.
+        style: name of a training speaker; None asks for nothing.
+
+    Raises:
+        BadInput: an unknown name, or a model that knows but one style.
+    """
+    if style is None:
+        return
+    if not bundle.preset.gpt.joint:
+        raise BadInput(
+            f"--style {style}: {bundle.folder} has one style alone; "
+            "models trained with gpt.joint=true have one for each speaker"
+        )
+    bundle.statistics().place_of(style)
+
+
+DEFAULT = Path(__file__).parent / "default"
+"""Folder of the shipped files; all of it was drawn, spoken and trained by this project."""
+
+
+BUNDLE = DEFAULT / "bundle"
+"""Speaker bundle trained on the phantom speaker."""
+
+
+PHOTO = DEFAULT / "photo.png"
+"""A phantom presenter at rest."""
+
+
+SPEECH = DEFAULT / "speech.flac"
+"""Speech of the built-in synthesiser."""

@@ -14,11 +14,10 @@ os.environ.update({**WAITING, **os.environ})  # before torch comes
 import typer  # noqa: E402
 
 from angie import __version__
-from angie.commands.animate import animate, demo
-from angie.commands.bundles import import_mraa, info, train
-from angie.commands.data import phantom, prepare
+from angie.commands.animate import ablate, animate, codebook, demo, gestures
 from angie.commands.evaluate import evaluate
-from angie.commands.motion import ablate, codebook, gestures
+from angie.commands.prepare import phantom, prepare
+from angie.commands.train import import_mraa, info, train
 from data_prep.errors import BadInput
 from data_prep.progress import console
 

@@ -6,16 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from angie.bundle import Bundle
-from angie.keypoints import read_points, resample
-from angie.motion import Motion, read_motion
-from angie.statistics import MotionStatistics
-from angie.style import check_style
+from angie.bundle import Bundle, check_style
+from angie.motion.keypoints import read_points, resample
+from angie.motion.statistics import MotionStatistics
 from data_prep.errors import BadInput
-from data_prep.features import speech_features
-from data_prep.output import check_apart, whole_file
+from data_prep.files import check_apart, whole_file
+from data_prep.media.audio import read_sound
 from data_prep.rates import FPS, frames_covering
-from data_prep.sound import read_sound
+from data_prep.speech.features import speech_features
+from mraa.motion import Motion, read_motion
 
 
 def start_pose(
@@ -75,7 +74,7 @@ def gestures(
         fps: frames a second wanted; motion of regions has 25.
         seed: of the gestures.
         greedy: always the likeliest gesture; else gestures are sampled. Both whatever method of
-            sampling the bundle has, as in `angie.animate`.
+            sampling the bundle has, as in `angie.pipeline`.
         force: replace an existing output.
 
     Returns:

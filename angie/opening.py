@@ -1,4 +1,7 @@
-"""The bundle that a training begins or goes on with."""
+"""The bundle that a training begins or goes on with.
+
+What a training takes from other bundles: weights to begin with, and a teacher.
+"""
 
 import dataclasses
 import shutil
@@ -9,16 +12,66 @@ from typing import Any
 from torch import nn
 
 from angie.bundle import Bundle
-from angie.direct import DirectMotion
-from angie.gpt import CoSpeechGPT
-from angie.other_bundles import initial_weights, teacher_of
-from angie.presets import Preset, override
-from angie.refiner import Refiner
-from angie.vq import VQMotionExtractor
+from angie.config import Preset, override
+from angie.generators.angie.direct import DirectMotion
+from angie.generators.angie.gpt import CoSpeechGPT
+from angie.generators.angie.refiner import Refiner
+from angie.generators.angie.tokenizer import VQMotionExtractor
 from data_prep.errors import BadInput
-from data_prep.output import check_output
-from mraa.renderer import Renderer, make_avd
+from data_prep.files import check_output
+from mraa.regions import RegionEstimator
+from mraa.renderer import Renderer, RendererConfig, make_avd
+from mraa.training.objective import RendererTraining
+from mraa.training.renderer import load_initial
 from mraa.vgg import load_vgg19
+
+
+def initial_weights(training: RendererTraining, config: RendererConfig) -> Path:
+    """File of the weights that `training.initial` names, a bundle or a file.
+
+    Raises:
+        BadInput: no such bundle or file, or a renderer of other sizes; the first setting or
+            tensor that differs is named.
+    """
+    path = Path(training.initial)
+    if path.is_dir():
+        bundle = Bundle.open(path)
+        difference = _difference(bundle.preset.renderer, config, "renderer.")
+        if difference:
+            raise BadInput(f"train_renderer.initial: {path} {difference}; give both the same")
+        path = bundle.path_of("renderer")
+    load_initial(Renderer(config), path)
+    return path
+
+
+def teacher_of(training: RendererTraining, config: RendererConfig) -> RegionEstimator | None:
+    """The frozen region estimator of the bundle that `training.teacher` names, if any.
+
+    Raises:
+        BadInput: no such bundle, or another number of regions.
+    """
+    if not training.teacher:
+        return None
+    renderer = Bundle.open(Path(training.teacher)).renderer()
+    if renderer.config.regions != config.regions:
+        raise BadInput(
+            f"train_renderer.teacher: {training.teacher} has {renderer.config.regions} regions, "
+            f"this renderer {config.regions}; set renderer.regions={renderer.config.regions}"
+        )
+    return renderer.estimator
+
+
+def _difference(there: object, here: object, prefix: str) -> str:
+    """The first setting in which two configurations differ, in words; "" for none."""
+    for entry in dataclasses.fields(here):  # type: ignore[arg-type]
+        a, b = getattr(there, entry.name), getattr(here, entry.name)
+        if dataclasses.is_dataclass(b):
+            inner = _difference(a, b, f"{prefix}{entry.name}.")
+            if inner:
+                return inner
+        elif a != b:
+            return f"has {prefix}{entry.name}={a}, this training {b}"
+    return ""
 
 
 def try_out(settings: Preset) -> None:

@@ -5,13 +5,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from angie.bundle import Bundle
-from angie.presets import Preset
+from angie.config import Preset
 from data_prep.errors import BadInput
-from data_prep.output import check_apart, whole_folder
+from data_prep.files import check_apart, whole_folder
+from data_prep.prepare.source import sha256
 from data_prep.progress import console
 from data_prep.rates import IMAGE_SIZE
-from data_prep.source import sha256
-from data_prep.speaker import FACE_DOWN, SIDE_IN_FACES
+from data_prep.speaker.crop import FACE_DOWN, SIDE_IN_FACES
 from mraa.released import load_released, read_checkpoint
 from mraa.released_sizes import (
     UNSEEN,

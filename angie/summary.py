@@ -2,8 +2,7 @@
 
 from typing import Any
 
-from angie.bundle import OPTIONAL, STAGE_OF, Bundle
-from angie.style import styles
+from angie.bundle import OPTIONAL, STAGE_OF, Bundle, styles
 from data_prep.errors import BadInput
 
 

@@ -10,34 +10,33 @@ from lightning_fabric import Fabric
 from numpy.typing import NDArray
 
 from angie.bundle import OPTIONAL, STAGE_OF, TRAIN, UPSTREAM, Bundle
-from angie.clips import MotionClip, read_clips
-from angie.direct import DirectMotion
-from angie.extraction import extract_dataset
-from angie.keypoints import INDEX, KeypointClip, KeypointDataset
-from angie.motion import Motion, read_motion
-from angie.opening import open_or_create
-from angie.other_bundles import initial_weights, teacher_of
-from angie.presets import Preset, of_points
-from angie.reports import gpt_report, vq_report
-from angie.statistics import MotionStatistics, measure
-from angie.train_avd import recovery, train_avd
-from angie.train_direct import train_direct
-from angie.train_gpt import train_gpt
-from angie.train_refiner import train_refiner
-from angie.train_vq import train_vq
-from angie.vq import VQMotionExtractor
-from angie.windows import WINDOW, MotionWindows, other_grids
+from angie.config import Preset, of_points
+from angie.generators.angie.direct import DirectMotion
+from angie.generators.angie.report import gpt_report, vq_report
+from angie.generators.angie.tokenizer import VQMotionExtractor
+from angie.generators.angie.train_direct import train_direct
+from angie.generators.angie.train_gpt import train_gpt
+from angie.generators.angie.train_refiner import train_refiner
+from angie.generators.angie.train_vq import train_vq
+from angie.motion.clips import MotionClip, read_clips
+from angie.motion.keypoints import INDEX, KeypointClip, KeypointDataset
+from angie.motion.statistics import MotionStatistics, measure
+from angie.motion.windows import WINDOW, MotionWindows, other_grids
+from angie.opening import initial_weights, open_or_create, teacher_of
 from data_prep.dataset import Clip, Dataset
 from data_prep.errors import BadInput
-from data_prep.output import check_apart
+from data_prep.files import check_apart
 from data_prep.progress import console
 from data_prep.rates import FPS
-from data_prep.speaker import FACE_DOWN, SIDE_IN_FACES
-from mraa.allocator import keep_memory
-from mraa.image_metrics import PerceptualDistance
+from data_prep.speaker.crop import FACE_DOWN, SIDE_IN_FACES
+from mraa.extract import extract_dataset
+from mraa.motion import Motion, read_motion
+from mraa.perceptual import PerceptualDistance
 from mraa.reconstruction import reconstruct, spread
-from mraa.run import RunConfig, launch, native_precision
-from mraa.training import train_renderer
+from mraa.training.avd import recovery, train_avd
+from mraa.training.devices import keep_memory
+from mraa.training.renderer import train_renderer
+from mraa.training.run import RunConfig, launch, native_precision
 
 PART_OF = {STAGE_OF.get(part, part): part for part in UPSTREAM}
 """Part of the bundle that each stage of training makes, in their order."""
@@ -363,7 +362,7 @@ def train(
     """Train the stages of a speaker bundle.
 
     Args:
-        dataset: folder that `angie prepare` made, or a folder of joints (`angie.keypoints`).
+        dataset: folder that `angie prepare` made, or a folder of joints (`angie.motion.keypoints`).
         output: folder of the bundle.
         preset: sizes; for a bundle that exists already its own are kept.
         changes: settings that differ from the preset (or from the bundle's own).

@@ -1,7 +1,19 @@
-"""Progress of long work: a bar with rate and time left on a terminal's standard error."""
+"""Progress of long work: a bar with rate and time left on a terminal's standard error.
 
-from collections.abc import Callable, Iterator
+Work spread over processes, of which one may die without the others' work being lost.
+"""
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
+from typing import TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
@@ -55,3 +67,100 @@ def progress(
                 bar.update(task, note=note)
 
         yield advance
+
+
+MOST = 61 if sys.platform == "win32" else 512
+"""Processes of one pool; Windows cannot wait for more."""
+
+
+Task = TypeVar("Task")
+
+
+Result = TypeVar("Result")
+
+
+def spread(
+    work: Callable[[Task], Result], tasks: Sequence[Task], jobs: int
+) -> Iterator[tuple[Task, Result | None]]:
+    """Do tasks in processes of their own, or here if one job is enough.
+
+    Args:
+        work: a function at the top level of a module.
+        tasks: what to call it with.
+        jobs: processes.
+
+    Yields:
+        each task with its result as they come; None where the process died of it.
+    """
+    jobs = min(jobs, len(tasks), MOST)
+    if jobs <= 1:
+        yield from ((task, work(task)) for task in tasks)
+        return
+    left = list(range(len(tasks)))
+    while left:
+        broken = False
+        for index, result in _run(work, tasks, left, jobs):
+            if result is None:
+                broken = True
+                break
+            left.remove(index)
+            yield tasks[index], result[0]
+        if broken:  # one of those that were begun did it: each of them gets a process alone
+            for index in left[: jobs + 1]:
+                done = next(_run(work, tasks, [index], 1))[1]
+                yield tasks[index], None if done is None else done[0]
+            left = left[jobs + 1 :]
+
+
+def _run(
+    work: Callable[[Task], Result], tasks: Sequence[Task], indices: Sequence[int], jobs: int
+) -> Iterator[tuple[int, tuple[Result] | None]]:
+    """Results by the tasks' indices; None as soon as a process has died, and then no more."""
+    context = multiprocessing.get_context("spawn")
+    others = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(jobs, context, initializer=_begin)
+    futures: dict[Future[Result], int] = {}
+    done = False
+    try:
+        with _held_back_interrupts():
+            futures = {pool.submit(work, tasks[i]): i for i in indices}
+        for future in as_completed(futures):
+            try:
+                result = future.result()
+            except BrokenProcessPool:
+                yield futures[future], None
+                return
+            yield futures[future], (result,)
+        done = True
+    finally:
+        if not done:  # stopped on the way: nobody waits for what is still going on
+            for process in set(multiprocessing.active_children()) - others:
+                process.terminate()
+        pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _held_back_interrupts() -> Iterator[None]:
+    """Ctrl-C comes after the block; processes begun in it never see it, not even as they start."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows: `_begin` alone, a moment later
+        yield
+        return
+    resource_tracker.ensure_running()  # its own start would let the signal through
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin() -> None:
+    """Leave Ctrl-C to the parent, and end with it even if it is killed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_follow_parent, daemon=True).start()
+
+
+def _follow_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from data_prep.dataset import Clip, Dataset
-from mraa.image_metrics import PerceptualDistance, score
+from mraa.perceptual import PerceptualDistance, score
 from mraa.renderer import Renderer, from_pixels
 
 
@@ -15,7 +15,7 @@ from mraa.renderer import Renderer, from_pixels
 class Reconstruction:
     """Mean distances to the truth over frames; `copy_` is the first frame shown throughout.
 
-    Each as `mraa.image_metrics` defines it, `backend` being what `perceptual` was measured by.
+    Each as `mraa.perceptual` defines it, `backend` being what `perceptual` was measured by.
     """
 
     frames: int

@@ -8,7 +8,7 @@ import yaml
 from torch import Tensor
 
 from data_prep.errors import BadInput
-from mraa.background import PARAMETERS
+from mraa.flow import PARAMETERS
 from mraa.renderer import GeneratorConfig, HourglassConfig, RendererConfig
 
 Parts = Mapping[str, Mapping[str, Tensor]]

@@ -1,16 +1,19 @@
-"""The renderer: its sizes, its parts, and one source animated by regions."""
+"""The renderer: its sizes, its parts, and one source animated by regions.
+
+What a rendered frame is made of.
+"""
 
 import math
 from dataclasses import dataclass, field
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from data_prep.rates import IMAGE_SIZE
 from mraa.affine import ROOTS
 from mraa.avd import AvdNetwork
-from mraa.background import PARAMETERS, BackgroundPredictor
-from mraa.flow import Flow, FlowPredictor
+from mraa.flow import PARAMETERS, BackgroundPredictor, Flow, FlowPredictor
 from mraa.generator import DeepGenerator, ImageGenerator, LiteGenerator
 from mraa.regions import RegionEstimator, Regions
 
@@ -218,3 +221,17 @@ def make_avd(config: RendererConfig) -> AvdNetwork:
     return AvdNetwork(
         config.regions, config.avd_id_width, config.avd_pose_width, config.revert_axis_swap
     )
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What frames are made of, for those who blend the photo in at another size."""
+
+    flow: Tensor
+    """(b, h, w, 2) float32 source coordinates (x, y) in [-1, 1]."""
+    occlusion: Tensor
+    """(b, 1, h, w) float32 in [0, 1]; 1 where the source shows what is needed."""
+    painted: Tensor
+    """(b, 3, H, W) float32 in [0, 1], the generated picture before the photo is blended in."""
+    frames: np.ndarray
+    """(b, H, W, 3) uint8 RGB, the finished frames."""

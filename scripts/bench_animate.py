@@ -22,19 +22,17 @@ os.environ.update({**WAITING, **os.environ})  # before torch comes
 import numpy as np
 import torch
 
-from angie.animate import render, source_pose
-from angie.bundle import Bundle
-from angie.demo import BUNDLE, PHOTO
-from angie.motion import Motion
+from angie.bundle import BUNDLE, PHOTO, Bundle
+from data_prep.media.audio import write_wav
+from data_prep.media.photo import read_photo
+from data_prep.media.writer import VideoWriter, WriteThread
 from data_prep.phantom.make import recording
-from data_prep.photo import read_photo
 from data_prep.rates import FPS, IMAGE_SIZE
-from data_prep.sound import write_wav
-from data_prep.speaker import cut_out, find_faces, speaker_crop
-from data_prep.video_writer import VideoWriter
-from data_prep.write_thread import WriteThread
-from mraa.allocator import keep_memory
+from data_prep.speaker.crop import cut_out, find_faces, speaker_crop
+from mraa.draw import render, source_pose
+from mraa.motion import Motion
 from mraa.renderer import from_pixels
+from mraa.training.devices import keep_memory
 
 FRAMES = 150
 """Frames drawn for the encoder's part."""

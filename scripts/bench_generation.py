@@ -24,20 +24,18 @@ os.environ.update({**WAITING, **os.environ})  # before torch comes
 import numpy as np
 import torch
 
-from angie.bundle import Bundle
-from angie.continuation import Window, continue_codes
-from angie.demo import BUNDLE
-from angie.generator import AngieGenerator
-from angie.gpt import CoSpeechGPT
-from angie.motion import Motion
-from angie.packing import pack, packable, product_type
-from angie.presets import preset
-from angie.refiner import Refiner
-from angie.sampling import Sampling, draw
-from angie.vq import VQMotionExtractor
+from angie.bundle import BUNDLE, Bundle
+from angie.config import preset
+from angie.generators.angie.generate import AngieGenerator
+from angie.generators.angie.gpt import CoSpeechGPT
+from angie.generators.angie.refiner import Refiner
+from angie.generators.angie.sampling import Sampling, Window, continue_codes, draw
+from angie.generators.angie.tokenizer import VQMotionExtractor
+from angie.layers.packed_linear import pack, packable, product_type
 from data_prep.errors import BadInput, call_script
-from data_prep.features import SpeechFeatures, speech_features
 from data_prep.rates import FPS, SAMPLE_RATE, tokens_covering
+from data_prep.speech.features import SpeechFeatures, speech_features
+from mraa.motion import Motion
 
 CODES = 60
 """Codes made for each rate."""

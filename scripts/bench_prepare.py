@@ -18,12 +18,12 @@ from pathlib import Path
 import av
 import cv2
 
-from data_prep.clip_files import FOLDERS
-from data_prep.ingestion import ingest
-from data_prep.outcome import IngestionConfig
+from data_prep.media.video import probe
 from data_prep.phantom.make import make_phantom
-from data_prep.source import Source
-from data_prep.video import probe
+from data_prep.prepare.clips import FOLDERS
+from data_prep.prepare.ingest import ingest
+from data_prep.prepare.outcome import IngestionConfig
+from data_prep.prepare.source import Source
 
 
 def decode(path: Path) -> None:

@@ -29,24 +29,21 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
 
-import mraa.convolution
-import mraa.folded_flow
-import mraa.winograd
-from angie.bundle import Bundle
-from angie.demo import PHOTO
-from angie.presets import preset
-from data_prep.photo import read_photo
-from data_prep.speaker import cut_out, find_faces, speaker_crop
-from mraa.accelerated import Accelerated
-from mraa.allocator import keep_memory
+import mraa.fast.convolution
+import mraa.fast.flow
+import mraa.fast.winograd
+from angie.bundle import PHOTO, Bundle
+from angie.config import preset
+from data_prep.media.photo import read_photo
+from data_prep.speaker.crop import cut_out, find_faces, speaker_crop
 from mraa.blocks import UpBlock
-from mraa.folding import PHASES, doubling, fold
+from mraa.fast.folding import PHASES, doubling, fold
+from mraa.fast.gpu import Accelerated
+from mraa.fast.session import RenderSession
 from mraa.grid import resize_flow, resize_map, warp
-from mraa.parts import Parts
-from mraa.precision import native_bf16
 from mraa.regions import Regions, regions_from_motion
-from mraa.renderer import Renderer, from_pixels
-from mraa.session import RenderSession
+from mraa.renderer import Parts, Renderer, from_pixels
+from mraa.training.devices import keep_memory, native_bf16
 
 CPU = torch.device("cpu")
 ROUNDS = 3
@@ -168,22 +165,27 @@ def one_by_one(draw: Accelerated, motion: Regions) -> list[Parts]:
 
 def count_products(counted: list[float]) -> None:
     """Add up the floating point operations of the session's convolutions from here on."""
-    direct, minimal = mraa.convolution.Convolution.__call__, mraa.winograd.Winograd.__call__
+    direct, minimal = (
+        mraa.fast.convolution.Convolution.__call__,
+        mraa.fast.winograd.Winograd.__call__,
+    )
 
     def convolve(
-        self: mraa.convolution.Convolution, x: Tensor, kept: Tensor | None = None
+        self: mraa.fast.convolution.Convolution, x: Tensor, kept: Tensor | None = None
     ) -> Tensor:
         y = direct(self, x, kept)
         counted[0] += 2.0 * y.numel() * x.shape[1] * self.taps
         return y
 
-    def filtered(self: mraa.winograd.Winograd, x: Tensor, kept: Tensor | None = None) -> Tensor:
+    def filtered(
+        self: mraa.fast.winograd.Winograd, x: Tensor, kept: Tensor | None = None
+    ) -> Tensor:
         y = minimal(self, x, kept)
         counted[0] += 2.0 * y.numel() / self.m**2 * len(self.matrices) * x.shape[1]
         return y
 
-    mraa.convolution.Convolution.__call__ = convolve  # type: ignore[method-assign]
-    mraa.winograd.Winograd.__call__ = filtered  # type: ignore[method-assign]
+    mraa.fast.convolution.Convolution.__call__ = convolve  # type: ignore[method-assign]
+    mraa.fast.winograd.Winograd.__call__ = filtered  # type: ignore[method-assign]
 
 
 def matrix_rate(dtype: torch.dtype, threads: int) -> float:
@@ -229,8 +231,8 @@ def sessions(renderer: Renderer, photo: Tensor, source: Regions) -> list[tuple[s
         ways.append(("bf16", True, "bfloat16, masks and warps in float32"))
     made = []
     for precision, filtering, text in ways:
-        for module in (mraa.convolution, mraa.folded_flow):
-            module.fits = mraa.winograd.fits if filtering else lambda kernel, shape: False
+        for module in (mraa.fast.convolution, mraa.fast.flow):
+            module.fits = mraa.fast.winograd.fits if filtering else lambda kernel, shape: False
         session = RenderSession(renderer, photo, source, precision=precision)
         made.append((f"{text} ({precision})", session))
     return made

@@ -24,15 +24,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from angie.bundle import Bundle
-from angie.demo import BUNDLE
+from angie.bundle import BUNDLE, Bundle
 from data_prep.phantom.make import take
-from data_prep.speaker import Crop, cut_out, find_faces, speaker_crop
+from data_prep.speaker.crop import Crop, cut_out, find_faces, speaker_crop
+from mraa.fast.fullsize import FullSize
+from mraa.fast.session import RenderSession
 from mraa.flow import Flow
-from mraa.fullsize import FullSize
-from mraa.image_metrics import psnr, ssim
+from mraa.perceptual import psnr, ssim
 from mraa.renderer import Renderer, from_pixels, to_pixels
-from mraa.session import RenderSession
 
 SEED, SCALE, SIZES = 77, 3, (512, 1024)
 

@@ -35,24 +35,29 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
-from angie.demo import PHOTO
-from angie.presets import preset
-from data_prep.dataset import MANIFEST, TABLE, Clip, Dataset, write_table
-from data_prep.frame_store import encode_frame, write_frames
-from data_prep.photo import read_photo
+from angie.bundle import PHOTO
+from angie.config import preset
+from data_prep.dataset import (
+    MANIFEST,
+    TABLE,
+    Clip,
+    Dataset,
+    encode_frame,
+    write_frames,
+    write_table,
+)
+from data_prep.media.photo import read_photo
 from data_prep.rates import FPS
-from mraa.allocator import keep_memory
 from mraa.flow import Flow
-from mraa.losses import equivariance_of
-from mraa.objective import Objective, images
-from mraa.pairs import FramePairs, TrainingPair
+from mraa.losses import PLATE_NUMBERS, equivariance_of, thin_plate
 from mraa.perceptual import PerceptualPyramid, bands_distance
 from mraa.regions import Regions
 from mraa.renderer import Renderer
-from mraa.renderer_training import RendererTraining
-from mraa.run import Run, RunConfig, native_precision
-from mraa.training import adam, perceptual_loss
-from mraa.transform import PLATE_NUMBERS, thin_plate
+from mraa.training.devices import keep_memory
+from mraa.training.objective import Objective, RendererTraining, images
+from mraa.training.pairs import FramePairs, TrainingPair
+from mraa.training.renderer import adam, perceptual_loss
+from mraa.training.run import Run, RunConfig, native_precision
 from mraa.vgg import Vgg
 
 BATCH = {"paper": 4, "lite": 8}

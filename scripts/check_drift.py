@@ -15,9 +15,9 @@ from pathlib import Path
 from torch import Tensor
 
 from angie.bundle import Bundle
-from angie.clips import MotionClip, read_clips
 from angie.evaluation.definitions import PIXEL
 from angie.evaluation.rows import reconstructed
+from angie.motion.clips import MotionClip, read_clips
 from data_prep.dataset import Dataset
 from data_prep.errors import call_script
 

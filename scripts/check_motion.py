@@ -12,7 +12,7 @@ codes     Perplexity of each stream, against that of as many clusters (k-means o
           encoded by itself, and `correlation in use`, in the context that the GPT's codes have
           (`vq.context`; of clips, decoded in windows that blend linearly).
 hearing   Cross-entropy in nats per code with the own sound, with that of another clip of the same
-          speaker, and of an order-2 model of the codes (`angie.hearing`).
+          speaker, and of an order-2 model of the codes (`angie.generators.angie.report`).
 beats     Beat consistency of the truth and of what is generated, with and without the refiner,
           from the truth's first pose and code pair, mean of three seeds; and `by chance`, the
           same motion against its sound shifted in a circle by 1.3, 2.7 and 4.1 s: many beats
@@ -54,22 +54,22 @@ from scipy import stats
 from scipy.cluster.vq import kmeans2, vq
 
 from angie.bundle import Bundle
-from angie.clips import MotionClip, read_clips
 from angie.evaluation.space import onsets_within, points
-from angie.generator import AngieGenerator
-from angie.hearing import hearing
+from angie.generators.angie.codes import STREAMS, correlation, patterns, perplexity, reconstruction
+from angie.generators.angie.generate import AngieGenerator
+from angie.generators.angie.report import hearing
+from angie.generators.angie.train_gpt import code_windows
 from angie.metrics.beats import consistency, usual_steps
-from angie.motion import Motion
-from angie.patterns import STREAMS, correlation, patterns, perplexity, reconstruction
-from angie.quantisation import Channels
-from angie.statistics import MotionStatistics
-from angie.train_gpt import code_windows
-from angie.windows import WINDOW, MotionWindows
+from angie.motion.channels import Channels
+from angie.motion.clips import MotionClip, read_clips
+from angie.motion.statistics import MotionStatistics
+from angie.motion.windows import WINDOW, MotionWindows
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput, call_script
-from data_prep.features import SpeechFeatures, speech_features
 from data_prep.rates import FPS, FRAMES_PER_TOKEN, SAMPLE_RATE, SAMPLES_PER_FRAME
-from data_prep.synchrony import steps
+from data_prep.speech.features import SpeechFeatures, speech_features
+from data_prep.speech.synchrony import steps
+from mraa.motion import Motion
 
 SEEDS = (0, 1, 2)
 SHIFTS = (1.3, 2.7, 4.1)

@@ -8,7 +8,7 @@ RAW is what `angie phantom` wrote. Prints, by presenter and in all:
   stated 0.3 s late, as a control;
 - beat consistency and percentage of matched beats between true motion and its own sound, and
   between true motion and the sound of other videos, cut to the shorter of the two. `hands` scores
-  wrists and hands, `arms` the angles at shoulders and elbows. See `data_prep.synchrony`.
+  wrists and hands, `arms` the angles at shoulders and elbows. See `data_prep.speech.synchrony`.
 """
 
 import argparse
@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from data_prep import synchrony
-from data_prep.features import onset_times
-from data_prep.phantom import consistency as score
+from data_prep.media.audio import read_sound
+from data_prep.phantom import skeleton as score
 from data_prep.rates import FPS, SAMPLE_RATE
-from data_prep.sound import read_sound
+from data_prep.speech import synchrony
+from data_prep.speech.features import onset_times
 
 CHANGES: dict[str, Callable[[NDArray], NDArray]] = {
     "hands": score.steps, "arms": score.arm_turns,

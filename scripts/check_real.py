@@ -20,18 +20,18 @@ import numpy as np
 import torch
 
 from angie.bundle import Bundle
-from angie.presets import parse_overrides, preset
+from angie.config import parse_overrides, preset
 from angie.training import train
 from data_prep.dataset import TABLE, Dataset, write_table
-from data_prep.outcome import IngestionConfig
-from data_prep.prepare import prepare
+from data_prep.media.audio import read_sound
+from data_prep.media.video import VideoWriter, read_frames
+from data_prep.prepare.outcome import IngestionConfig
+from data_prep.prepare.prepare import prepare
 from data_prep.rates import FPS, SAMPLE_RATE
-from data_prep.sound import read_sound
-from data_prep.speaker import Crop, find_people, speaker_crop
-from data_prep.video import VideoWriter, read_frames
+from data_prep.speaker.crop import Crop, find_people, speaker_crop
 from mraa.reconstruction import reconstruct
 from mraa.renderer import Renderer, from_pixels, to_pixels
-from mraa.run import RunConfig, native_precision
+from mraa.training.run import RunConfig, native_precision
 
 SHOWN = 12
 """Frames on the sheet."""

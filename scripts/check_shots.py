@@ -12,9 +12,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from data_prep.shots import ShotDetector
-from data_prep.source import EXTENSIONS
-from data_prep.video import read_frames
+from data_prep.media.video import read_frames
+from data_prep.prepare.shots import ShotDetector
+from data_prep.prepare.source import EXTENSIONS
 
 SIZE = (320, 180)
 LENGTHS = {"cut": (0,), "dissolve": (12, 25, 50), "black": (16, 30), "white": (16, 30)}

@@ -15,15 +15,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from data_prep.analysis import analyse
 from data_prep.errors import BadInput
-from data_prep.faces import Face, find_people
-from data_prep.outcome import IngestionConfig
-from data_prep.photo import read_photo
-from data_prep.source import EXTENSIONS
-from data_prep.spans import find_takes
-from data_prep.speaker import speaker_crop
-from data_prep.video import probe, read_frames
+from data_prep.media.photo import read_photo
+from data_prep.media.video import probe, read_frames
+from data_prep.prepare.analysis import analyse
+from data_prep.prepare.outcome import IngestionConfig
+from data_prep.prepare.source import EXTENSIONS
+from data_prep.prepare.spans import find_takes
+from data_prep.speaker.crop import speaker_crop
+from data_prep.speaker.faces import Face, find_people
 
 PHOTOS = frozenset(".jpg .jpeg .png .webp .bmp .gif .tif .tiff".split())
 TILE = 300

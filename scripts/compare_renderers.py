@@ -20,14 +20,14 @@ from refit_renderer import refit
 from safetensors.torch import save_file
 
 from angie.bundle import Bundle
-from angie.presets import override, parse_overrides, preset
+from angie.config import override, parse_overrides, preset
 from angie.training import train
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput, call_script
-from data_prep.output import whole_file
+from data_prep.files import whole_file
 from mraa.reconstruction import reconstruct
 from mraa.renderer import Renderer, from_pixels, to_pixels
-from mraa.run import RunConfig, native_precision
+from mraa.training.run import RunConfig, native_precision
 
 DEEP = ["renderer.generator.design=deep"]
 LOSS = "train_renderer.perceptual_backend="

@@ -67,7 +67,7 @@ if [ ! -d "$work/base" ]; then
 import sys
 from pathlib import Path
 
-from angie.ablation import copy_renderer
+from angie.evaluation.ablation import copy_renderer
 from angie.bundle import Bundle
 
 source = Bundle.open(Path(sys.argv[1]))

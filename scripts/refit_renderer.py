@@ -15,9 +15,9 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from angie.presets import override, parse_overrides, preset
+from angie.config import override, parse_overrides, preset
 from data_prep.errors import BadInput, call_script
-from data_prep.output import whole_file
+from data_prep.files import whole_file
 from mraa.renderer import Renderer, RendererConfig
 
 

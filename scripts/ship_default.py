@@ -15,10 +15,9 @@ import soundfile
 from PIL import Image
 from safetensors.torch import load_file
 
-from angie.bundle import PARTS, UPSTREAM, Bundle, halve
-from angie.demo import BUNDLE, PHOTO, SPEECH
+from angie.bundle import BUNDLE, PARTS, PHOTO, SPEECH, UPSTREAM, Bundle, halve
 from data_prep.errors import call_script
-from data_prep.output import whole_folder
+from data_prep.files import whole_folder
 from data_prep.phantom.make import recording, still
 
 PRESENTER, VIDEO = 1, 0

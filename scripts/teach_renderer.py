@@ -21,17 +21,17 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
-from angie.presets import override, parse_overrides, preset
+from angie.config import override, parse_overrides, preset
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput, call_script
-from data_prep.output import whole_file
+from data_prep.files import whole_file
 from data_prep.progress import progress
-from mraa.allocator import keep_memory
 from mraa.grid import coordinate_grid
-from mraa.initial import load_initial
-from mraa.pairs import Augmentation, augment
 from mraa.perceptual import PerceptualPyramid
 from mraa.renderer import Renderer, from_pixels
+from mraa.training.devices import keep_memory
+from mraa.training.pairs import Augmentation, augment
+from mraa.training.renderer import load_initial
 
 REGION_STEPS, MASK_STEPS, RATE, SEED, SIZE = 900, 1500, 1e-3, 0, 256
 JITTER = Augmentation(0, 0, brightness=0.2, contrast=0.3, saturation=0.8, hue=0.3)

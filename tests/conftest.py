@@ -6,11 +6,11 @@ import pytest
 import torch
 
 from angie.bundle import Bundle
-from angie.presets import override, parse_overrides, preset
+from angie.config import override, parse_overrides, preset
 from angie.training import train
 from data_prep.dataset import Dataset
 from data_prep.phantom.make import make_phantom
-from data_prep.prepare import prepare
+from data_prep.prepare.prepare import prepare
 
 FEW_STEPS = (
     "train_renderer.batch=2",

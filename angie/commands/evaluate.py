@@ -115,7 +115,7 @@ def evaluate(
             raise BadInput("give a dataset and one or more speaker bundles: DATASET BUNDLE...")
         from angie.evaluation.evaluate import evaluate as run
         from angie.evaluation.skeletons import evaluate_joints
-        from angie.keypoints import INDEX
+        from angie.motion.keypoints import INDEX
 
         if (places[0] / INDEX).is_file():
             if truth is not None:
@@ -129,8 +129,8 @@ def evaluate(
             raise BadInput("--videos: takes no DATASET BUNDLE...; name --reference and --bundle")
         if reference is None:
             raise BadInput("--videos: name the dataset to compare with, --reference DATASET")
-        from angie.demo import BUNDLE
-        from angie.evaluation.folder import evaluate_videos
+        from angie.bundle import BUNDLE
+        from angie.evaluation.external import evaluate_videos
 
         numbers = evaluate_videos(
             videos,

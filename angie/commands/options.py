@@ -9,7 +9,7 @@ import typer
 from data_prep.errors import BadInput
 
 if TYPE_CHECKING:
-    from data_prep.speaker import Crop
+    from data_prep.speaker.crop import Crop
 
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing output.")]
 Seed = Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Everything random follows from it.")]
@@ -55,7 +55,7 @@ def square_of(text: str, option: str = "--crop") -> "Crop":
     Raises:
         BadInput: anything else.
     """
-    from data_prep.speaker import Crop
+    from data_prep.speaker.crop import Crop
 
     try:
         x, y, size, *height = (int(part) for part in text.split(","))

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from angie import __version__
 from angie.bundle import OPTIONAL, Bundle, source_commit
-from angie.clips import MotionClip
 from angie.evaluation import report
+from angie.evaluation.images import TRUE_REGIONS, Driver, FrameJudge, score_pictures
 from angie.evaluation.joints import true_joints
 from angie.evaluation.networks import (
     EvaluationConfig,
@@ -18,12 +18,6 @@ from angie.evaluation.networks import (
     find_autoencoder,
     make_frame_judge,
     stored_autoencoder,
-)
-from angie.evaluation.pictures import (
-    TRUE_REGIONS,
-    Driver,
-    FrameJudge,
-    score_pictures,
 )
 from angie.evaluation.rows import (
     REFERENCES,
@@ -38,13 +32,14 @@ from angie.evaluation.rows import (
 from angie.evaluation.scoring import make_judge
 from angie.evaluation.space import RegionSpace, open_space
 from angie.evaluation.videos import spread, write_videos
-from angie.keypoints import KeypointDataset
-from angie.motion import Motion
+from angie.motion.clips import MotionClip
+from angie.motion.keypoints import KeypointDataset
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
-from data_prep.output import check_apart, whole_folder
+from data_prep.files import check_apart, whole_folder
 from data_prep.progress import progress
 from data_prep.rates import FPS
+from mraa.motion import Motion
 from mraa.renderer import Renderer
 
 

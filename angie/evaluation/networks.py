@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.torch import save_file
 
-from angie.clips import MotionClip
+from angie.evaluation.images import FrameChoice, FrameJudge
 from angie.evaluation.joints import JointReader, fit_reader
-from angie.evaluation.pictures import FrameChoice, FrameJudge
 from angie.evaluation.space import RegionSpace
 from angie.metrics.autoencoder import (
     AutoencoderTraining,
@@ -24,12 +23,13 @@ from angie.metrics.autoencoder import (
     train_autoencoder,
     windows,
 )
-from angie.metrics.identity import IdentityNetwork, IdentityTraining, train_identity
+from angie.metrics.images import IdentityNetwork, IdentityTraining, train_identity
+from angie.motion.clips import MotionClip
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
+from data_prep.prepare.source import sha256
 from data_prep.rates import FPS
-from data_prep.source import sha256
-from mraa.image_metrics import PerceptualDistance
+from mraa.perceptual import PerceptualDistance
 from mraa.renderer import Renderer
 
 IDENTITY_FRAMES = 12

@@ -15,7 +15,7 @@ from angie.evaluation.rows import Performance, Row
 from angie.evaluation.scoring import Judge, Summary, matched_curve, score_motion, summarise_runs
 from angie.evaluation.space import RegionSpace, points
 from angie.metrics.score import Score
-from data_prep.synchrony import activity, steps
+from data_prep.speech.synchrony import activity, steps
 
 MARK = "results.json"
 """File that every report holds."""

@@ -8,11 +8,11 @@ import torch
 from numpy.typing import NDArray
 
 from angie.bundle import Bundle
-from angie.clips import MotionClip
 from angie.evaluation.space import RegionSpace, onsets_within
-from angie.generator import AngieGenerator
-from angie.motion import Motion, positive
+from angie.generators.angie.generate import AngieGenerator
+from angie.motion.clips import MotionClip
 from data_prep.rates import FRAMES_PER_TOKEN
+from mraa.motion import Motion, positive
 
 WINDOW = 96
 """Frames of a piece of the nearest sound: a training window of ANGIE."""

@@ -12,16 +12,12 @@ from scipy import stats
 from angie.evaluation.definitions import PIXEL
 from angie.evaluation.rows import Performance
 from angie.evaluation.space import RegionSpace, points
-from angie.metrics import beats, diversity, frechet, speed, truth
-from angie.metrics.autoencoder import (
-    MotionAutoencoder,
-    MotionScale,
-    encode_windows,
-    windows,
-)
+from angie.metrics import beats, diversity, frechet, truth
+from angie.metrics import diversity as speed
+from angie.metrics.autoencoder import MotionAutoencoder, MotionScale, encode_windows, windows
 from angie.metrics.score import Score
-from angie.motion import Motion
 from data_prep.rates import FPS
+from mraa.motion import Motion
 
 CONFIDENCE = 0.95
 

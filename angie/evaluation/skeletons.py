@@ -26,12 +26,12 @@ from angie.evaluation.rows import Row, perform
 from angie.evaluation.scoring import make_judge
 from angie.evaluation.space import RegionSpace
 from angie.evaluation.videos import spread
-from angie.keypoints import KeypointDataset, read_points, read_rate, resample
-from angie.motion import Motion
-from angie.statistics import measure
+from angie.motion.keypoints import KeypointDataset, read_points, read_rate, resample
+from angie.motion.statistics import measure
 from data_prep.errors import BadInput
-from data_prep.output import check_apart, whole_folder
+from data_prep.files import check_apart, whole_folder
 from data_prep.rates import FPS, FRAMES_PER_TOKEN
+from mraa.motion import Motion
 
 
 def evaluate_joints(
@@ -45,7 +45,7 @@ def evaluate_joints(
     """Score models of joints and arrays on the test clips of a folder of joints.
 
     Args:
-        folder: joints with their sound, see `angie.keypoints`.
+        folder: joints with their sound, see `angie.motion.keypoints`.
         systems: bundles of joints, and folders of any system's `<clip>.npy` or `.npz` with
             `points` (T, J, 2), named like test clips and at the clips' own rate (or at the
             file's `fps`).

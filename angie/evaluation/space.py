@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from angie.bundle import Bundle
-from angie.clips import MotionClip, read_clips
 from angie.evaluation.definitions import PIXEL
-from angie.extraction import extract_dataset
 from angie.metrics.autoencoder import MotionScale
 from angie.metrics.beats import usual_steps
-from angie.motion import Motion
-from angie.statistics import MotionStatistics, measure
+from angie.motion.clips import MotionClip, read_clips
+from angie.motion.statistics import MotionStatistics, measure
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
 from data_prep.rates import FPS
+from mraa.extract import extract_dataset
+from mraa.motion import Motion
 
 
 @dataclass(frozen=True)

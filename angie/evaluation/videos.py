@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from angie.animate import COMMENT
-from angie.clips import MotionClip
-from angie.evaluation.pictures import rendered
+from angie.evaluation.images import rendered
 from angie.evaluation.rows import Row
-from angie.motion import Motion
+from angie.motion.clips import MotionClip
+from angie.pipeline import COMMENT
 from data_prep.dataset import Clip, Dataset
+from data_prep.media.video import VideoWriter
 from data_prep.rates import FPS, IMAGE_SIZE, SAMPLE_RATE
-from data_prep.video import VideoWriter
+from mraa.motion import Motion
 from mraa.renderer import Renderer
 
 STRIP = 24

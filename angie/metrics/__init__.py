@@ -12,6 +12,6 @@ behind it, or the reason why there is none.
 | `diversity` | diversity (HA2G, across clips, pairwise), lexeme entropy |
 | `speed` | jerk, acceleration, Hellinger distance of speed histograms |
 | `truth` | MAJE, MAD, CCA: distance to the motion that was recorded |
-| `images` | AED, AKD, MKR, flicker; L1, perceptual, SSIM, PSNR are in `mraa.image_metrics` |
+| `images` | AED, AKD, MKR, flicker; L1, perceptual, SSIM, PSNR are in `mraa.perceptual` |
 | `identity` | the network behind AED |
 """

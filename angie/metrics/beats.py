@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import argrelextrema
 
 from angie.metrics.score import Score, not_finite
-from data_prep.synchrony import (
+from data_prep.speech.synchrony import (
     NEAR,
     PROMINENCE,
     SMOOTH,

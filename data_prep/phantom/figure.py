@@ -5,9 +5,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_prep.phantom import limbs, scene
-from data_prep.phantom.hand import Hand, draw_hand
 from data_prep.phantom.head import HEAD, Head
-from data_prep.phantom.paint import Array, Canvas
+from data_prep.phantom.limbs import Hand, draw_hand
+from data_prep.phantom.paint import Array, Canvas, cloth
 from data_prep.phantom.presenters import Presenter, Setting
 from data_prep.phantom.skeleton import (
     SIDES,
@@ -18,7 +18,6 @@ from data_prep.phantom.skeleton import (
     joints,
     to_picture,
 )
-from data_prep.phantom.texture import cloth
 from data_prep.phantom.torso import TILE_DENSITY, TORSO, torso
 
 HEIGHT, WIDTH = scene.HEIGHT, scene.WIDTH

@@ -12,10 +12,10 @@ from data_prep.phantom.paint import (
     inflate,
     lambert,
     mirrored,
+    noise,
     smooth,
 )
 from data_prep.phantom.presenters import Look, Setting
-from data_prep.phantom.texture import noise
 
 _OUTER: dict[str, list[tuple[float, float]]] = {
     "short": [(0, -60), (16, -58), (30, -50), (39, -36), (41.5, -18), (39.5, -2)],

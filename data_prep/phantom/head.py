@@ -19,10 +19,10 @@ from data_prep.phantom.paint import (
     inflate,
     lambert,
     mirrored,
+    noise,
     smooth,
 )
 from data_prep.phantom.presenters import Look, Setting
-from data_prep.phantom.texture import noise
 
 HEAD = Canvas(-70, -84, 70, 116, 2.0)
 """Raster of the head, in units about its middle."""

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_prep.errors import BadInput
-from data_prep.output import whole_file
+from data_prep.files import whole_file
+from data_prep.media.writer import VideoWriter
 from data_prep.phantom import espeak
 from data_prep.phantom.figure import HEIGHT, WIDTH, Figure
 from data_prep.phantom.gesture import Stroke, schedule
@@ -19,10 +20,8 @@ from data_prep.phantom.presenters import Presenter, Setting, presenter, setting
 from data_prep.phantom.script import script
 from data_prep.phantom.skeleton import JOINTS, Course, Joints, joints
 from data_prep.phantom.speech import Speech, speak
-from data_prep.pool import spread
-from data_prep.progress import progress
+from data_prep.progress import progress, spread
 from data_prep.rates import FPS
-from data_prep.video_writer import VideoWriter
 
 COMMENT = "Synthetic: the phantom speaker of angie; no real person is shown or heard."
 """Metadata of every phantom video."""

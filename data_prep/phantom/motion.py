@@ -5,12 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from data_prep.phantom.formant import CONTROL
 from data_prep.phantom.gesture import REST, TEMPLATES, Stroke, Template
-from data_prep.phantom.hand import SHAPES
+from data_prep.phantom.limbs import SHAPES
 from data_prep.phantom.presenters import Style
 from data_prep.phantom.skeleton import SIDES, Course
-from data_prep.phantom.speech import Speech
+from data_prep.phantom.speech import CONTROL, Speech
 from data_prep.rates import FPS
 
 _HOLD = 0.75

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from data_prep.phantom.texture import CLOTHS
+from data_prep.phantom.paint import CLOTHS
 
 Colour = tuple[float, float, float]
 

@@ -3,9 +3,8 @@
 import cv2
 import numpy as np
 
-from data_prep.phantom.paint import Array, blur, bump
+from data_prep.phantom.paint import Array, blur, bump, noise, wood
 from data_prep.phantom.presenters import Setting
-from data_prep.phantom.texture import noise, wood
 
 HEIGHT, WIDTH = 360, 640
 """Size of the picture in pixels."""

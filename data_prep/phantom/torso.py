@@ -18,10 +18,11 @@ from data_prep.phantom.paint import (
     inflate,
     lambert,
     mirrored,
+    noise,
+    sample,
     smooth,
 )
 from data_prep.phantom.presenters import Look, Setting
-from data_prep.phantom.texture import noise, sample
 
 TORSO = Canvas(-140, -60, 140, 250, 2.0)
 """Raster of the torso, in units about the pit of the neck."""

@@ -8,12 +8,12 @@ import pytest
 import torch
 
 from angie.bundle import Bundle
-from angie.clips import MotionClip
-from angie.gpt import CoSpeechGPT
-from angie.motion import Motion
-from angie.presets import override
-from angie.statistics import MotionStatistics, measure
-from data_prep.features import SpeechFeatures
+from angie.config import override
+from angie.generators.angie.gpt import CoSpeechGPT
+from angie.motion.clips import MotionClip
+from angie.motion.statistics import MotionStatistics, measure
+from data_prep.speech.features import SpeechFeatures
+from mraa.motion import Motion
 
 REGIONS = 4
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from angie.bundle import PARTS, Bundle, _sizes, halve, load_weights
-from angie.presets import override, preset
+from angie.config import override, preset
 from angie.summary import describe
 from angie.training import train
 from data_prep.errors import BadInput

@@ -9,9 +9,9 @@ import pytest
 from PIL import Image
 
 from angie.cli import main
+from data_prep.media.audio import write_wav
+from data_prep.media.video import VideoWriter
 from data_prep.phantom.make import still
-from data_prep.sound import write_wav
-from data_prep.video import VideoWriter
 
 
 @pytest.fixture(scope="module")

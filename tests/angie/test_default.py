@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from angie.animate import animate
-from angie.bundle import PARTS, Bundle
-from angie.demo import BUNDLE, DEFAULT, PHOTO, SPEECH
+from angie.bundle import BUNDLE, DEFAULT, PARTS, PHOTO, SPEECH, Bundle
 from angie.opening import open_or_create
+from angie.pipeline import animate
 from data_prep.errors import BadInput
-from data_prep.sound import read_sound, write_wav
-from data_prep.speaker import find_faces
-from data_prep.video import read_frames
+from data_prep.media.audio import read_sound, write_wav
+from data_prep.media.video import read_frames
+from data_prep.speaker.crop import find_faces
 
 
 def test_the_shipped_bundle_is_whole_and_small():

@@ -6,15 +6,14 @@ import pytest
 import torch
 from PIL import Image
 
-from angie.bundle import Bundle
-from angie.demo import BUNDLE
+from angie.bundle import BUNDLE, Bundle
+from angie.config import preset
 from angie.drive import BATCH, drive, estimate
-from angie.presets import preset
 from data_prep.errors import BadInput
+from data_prep.media.audio import read_sound, write_wav
+from data_prep.media.video import VideoWriter, read_frames
 from data_prep.phantom.make import still
-from data_prep.sound import read_sound, write_wav
-from data_prep.speaker import Crop
-from data_prep.video import VideoWriter, read_frames
+from data_prep.speaker.crop import Crop
 from mraa.renderer import Renderer, make_avd
 
 LENGTH, PAN = 14, 24

@@ -16,8 +16,8 @@ TRAINING = "lightning_fabric tensorboard librosa matplotlib pandas sklearn torch
     ("module", "unwanted"),
     [
         ("angie.cli", LIBRARIES),
-        ("angie.photo_crop", ["torch", "numba", "scipy"]),
-        ("angie.animate", [*TRAINING, "scipy.signal", "scipy.stats", "scipy.spatial"]),
+        ("angie.source", ["torch", "numba", "scipy"]),
+        ("angie.pipeline", [*TRAINING, "scipy.signal", "scipy.stats", "scipy.spatial"]),
     ],
 )
 def test_imports_are_few(module, unwanted):

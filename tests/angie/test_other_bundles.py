@@ -2,13 +2,12 @@ import dataclasses
 
 import pytest
 
-from angie.bundle import Bundle
-from angie.demo import BUNDLE
-from angie.other_bundles import initial_weights, teacher_of
-from angie.presets import preset
+from angie.bundle import BUNDLE, Bundle
+from angie.config import preset
+from angie.opening import initial_weights, teacher_of
 from data_prep.errors import BadInput
-from mraa.pairs import Augmentation
-from mraa.renderer_training import RendererTraining
+from mraa.training.objective import RendererTraining
+from mraa.training.pairs import Augmentation
 
 SHIPPED = Bundle.open(BUNDLE).preset.renderer
 

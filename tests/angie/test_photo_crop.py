@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from angie.demo import PHOTO
-from angie.photo_crop import photo_crop
+from angie.bundle import PHOTO
+from angie.source import photo_crop
 from data_prep.errors import BadInput
-from data_prep.photo import read_photo
+from data_prep.media.photo import read_photo
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from safetensors.torch import load_file
 from angie.bundle import Bundle
 from angie.cli import main
 from angie.training import _stages
-from mraa.modes import relative_regions
+from mraa.avd import relative_regions
 from mraa.released import read_checkpoint
 from mraa.released_sizes import config_from_released, params_from_tensors
 

@@ -7,16 +7,16 @@ import pytest
 import torch
 from PIL import Image
 
-from angie.animate import animate, scale_displacement, source_pose
-from angie.bundle import Bundle
+from angie.bundle import Bundle, styles
 from angie.cli import main
-from angie.motion import Motion, write_motion
-from angie.style import styles
+from angie.pipeline import animate, scale_displacement
 from data_prep.errors import BadInput
+from data_prep.media.audio import write_wav
+from data_prep.media.video import read_frames
 from data_prep.phantom.make import recording, still
-from data_prep.sound import write_wav
-from data_prep.speaker import Crop, cut_out
-from data_prep.video import read_frames
+from data_prep.speaker.crop import Crop, cut_out
+from mraa.draw import source_pose
+from mraa.motion import Motion, write_motion
 from mraa.renderer import from_pixels
 
 CROP = Crop(150, 20, 301)

@@ -7,12 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_prep.dataset import Clip, Dataset, write_features, write_table
+from data_prep.dataset import (
+    MAX_BYTES,
+    Clip,
+    Dataset,
+    FrameStore,
+    encode_frame,
+    write_features,
+    write_frames,
+    write_table,
+)
 from data_prep.errors import BadInput
-from data_prep.features import SpeechFeatures
-from data_prep.frame_store import MAX_BYTES, FrameStore, encode_frame, write_frames
-from data_prep.sound import write_wav
-from data_prep.words import Word, read_words, slice_words, write_words
+from data_prep.media.audio import write_wav
+from data_prep.speech.features import SpeechFeatures
+from data_prep.speech.words import Word, read_words, slice_words, write_words
 
 
 def frame(level: int) -> np.ndarray:

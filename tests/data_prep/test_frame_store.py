@@ -7,9 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from data_prep.dataset import Dataset
-from data_prep.frame_store import MAX_BYTES, FrameStore, encode_frame, write_frames
-from data_prep.prepare import prepare
+from data_prep.dataset import MAX_BYTES, Dataset, FrameStore, encode_frame, write_frames
+from data_prep.prepare.prepare import prepare
 
 VIDEO = (
     Path(__file__).resolve().parents[2].parent

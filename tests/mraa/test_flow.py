@@ -5,9 +5,9 @@ import torch
 
 from mraa.flow import region_heatmap, sparse_motions
 from mraa.grid import coordinate_grid, warp
+from mraa.losses import random_thin_plate
 from mraa.regions import moments, regions_from_motion
 from mraa.renderer import GeneratorConfig, HourglassConfig, Renderer, RendererConfig
-from mraa.transform import random_thin_plate
 
 SMALL = RendererConfig(
     regions=3,

@@ -8,14 +8,13 @@ import torch
 from safetensors.torch import load_file
 
 from mraa.affine import relative_affine
+from mraa.avd import relative_regions
 from mraa.grid import resize_flow, warp
-from mraa.losses import equivariance
-from mraa.modes import relative_regions
-from mraa.pyramid import PYRAMID_SCALES, ImagePyramid
+from mraa.losses import ThinPlate, equivariance
+from mraa.perceptual import PYRAMID_SCALES, ImagePyramid
 from mraa.released import load_released, our_name, read_checkpoint
 from mraa.released_sizes import config_from_released
 from mraa.renderer import Renderer, RendererConfig, make_avd
-from mraa.transform import ThinPlate
 
 GOLDEN = Path(__file__).resolve().parents[2].parent / "shared" / "golden"
 pytestmark = pytest.mark.skipif(not GOLDEN.is_dir(), reason="no golden files beside the project")

@@ -4,8 +4,7 @@ import torch
 
 from data_prep.dataset import Clip
 from data_prep.errors import BadInput
-from mraa.image_metrics import PerceptualDistance, l1, psnr, score, ssim
-from mraa.perceptual import PerceptualPyramid
+from mraa.perceptual import PerceptualDistance, PerceptualPyramid, l1, psnr, score, ssim
 from mraa.reconstruction import reconstruct, spread
 from mraa.renderer import GeneratorConfig, HourglassConfig, Renderer, RendererConfig
 

@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from mraa.affine import MIN_AXIS, affine_from_covariance, relative_affine
-from mraa.avd import AvdNetwork
-from mraa.modes import Transfer, hull_scale
+from mraa.avd import AvdNetwork, Transfer, hull_scale
 from mraa.regions import Regions, regions_from_motion
 
 

@@ -2,10 +2,14 @@ import pytest
 import torch
 
 from data_prep.errors import BadInput
-from mraa.image_metrics import ssim
-from mraa.perceptual import PerceptualPyramid, bands_distance
-from mraa.pyramid import ImagePyramid, laplacian_distance
-from mraa.renderer_training import RendererTraining
+from mraa.perceptual import (
+    ImagePyramid,
+    PerceptualPyramid,
+    bands_distance,
+    laplacian_distance,
+    ssim,
+)
+from mraa.training.objective import RendererTraining
 from mraa.vgg import Vgg, load_vgg19, random_vgg
 
 

@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from angie.clips import MotionClip
 from angie.evaluation.space import RegionSpace, points
 from angie.metrics.autoencoder import AutoencoderTraining, MotionAutoencoder, train_autoencoder
 from angie.metrics.autoencoder import windows as cut
-from angie.statistics import measure
-from data_prep.synchrony import smooth_minima, steps
+from angie.motion.clips import MotionClip
+from angie.motion.statistics import measure
+from data_prep.speech.synchrony import smooth_minima, steps
 
 
 def heard(clip: MotionClip) -> MotionClip:

@@ -6,14 +6,14 @@ import shutil
 import numpy as np
 import pytest
 
-from angie.demo import BUNDLE
+from angie.bundle import BUNDLE
 from angie.evaluation.evaluate import _grouped, evaluate, row_names
-from angie.evaluation.folder import evaluate_videos, watch
+from angie.evaluation.external import evaluate_videos, watch
+from angie.evaluation.images import FrameChoice, chosen_frames
 from angie.evaluation.networks import EvaluationConfig
-from angie.evaluation.pictures import FrameChoice, chosen_frames
 from angie.evaluation.videos import padded
 from data_prep.errors import BadInput
-from data_prep.video import VideoWriter, probe
+from data_prep.media.video import VideoWriter, probe
 
 QUICK = {"fgd_steps": 5, "aed_steps": 5, "image_stride": 60, "videos_shown": 0}
 
@@ -198,7 +198,7 @@ def test_bad_folders_of_videos_are_refused(folder, dataset, bundle, tmp_path):
 def test_what_cannot_be_used_is_told_before_anything_is_measured(
     folder, dataset, bundle, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("angie.evaluation.folder.open_space", lambda *_: pytest.fail("measured"))
+    monkeypatch.setattr("angie.evaluation.external.open_space", lambda *_: pytest.fail("measured"))
     (folder / "z.mp4").write_bytes(b"no video")
     with pytest.raises(BadInput, match=r"z\.mp4"):
         evaluate_videos(folder, dataset.path, bundle.folder, tmp_path / "out")
@@ -217,7 +217,7 @@ def test_a_video_named_like_a_training_clip_has_its_speaker_and_no_truth(space, 
             video.write(np.zeros((64, 64, 3), np.uint8))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            "angie.evaluation.folder.measure_motion", lambda *_: space.train[0].motion[:4]
+            "angie.evaluation.external.measure_motion", lambda *_: space.train[0].motion[:4]
         )
         watched = watch(path, space, None)
     assert watched.clip is None and watched.performance.truth is None

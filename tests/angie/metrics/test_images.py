@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from angie.metrics import images
-from angie.metrics.identity import IdentityTraining, embed, train_identity, triplet_loss
+from angie.metrics.images import IdentityTraining, embed, train_identity, triplet_loss
 from data_prep.errors import BadInput
 
 

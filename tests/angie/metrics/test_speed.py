@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from angie.metrics import speed
+from angie.metrics import diversity as speed
 
 
 def moving(path) -> np.ndarray:

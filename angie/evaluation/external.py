@@ -1,0 +1,289 @@
+"""Videos of any system against a dataset: regions by the bundle's estimator, sound of their own."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from angie.bundle import Bundle
+from angie.evaluation import report
+from angie.evaluation.evaluate import (
+    baselines,
+    numbers_of,
+    remove_folder,
+    row_names,
+    seeds_of,
+    told_of,
+)
+from angie.evaluation.images import FrameJudge, FrameScores, compare, pick, read_chosen
+from angie.evaluation.joints import true_joints
+from angie.evaluation.networks import (
+    EvaluationConfig,
+    check_perceptual,
+    find_autoencoder,
+    make_frame_judge,
+    stored_autoencoder,
+)
+from angie.evaluation.rows import Performance, Row
+from angie.evaluation.scoring import make_judge
+from angie.evaluation.space import RegionSpace, onsets_within, open_space
+from angie.evaluation.videos import padded, write_video
+from angie.metrics.images import read_pair
+from angie.motion.clips import MotionClip
+from data_prep.dataset import Clip, Dataset
+from data_prep.errors import BadInput
+from data_prep.files import check_apart, whole_folder
+from data_prep.media.audio import read_sound
+from data_prep.media.video import probe, read_frames
+from data_prep.prepare.source import videos_in
+from data_prep.progress import progress
+from data_prep.rates import FPS, IMAGE_SIZE
+from data_prep.speech.features import onset_times
+from mraa.extract import measure_motion
+from mraa.regions import RegionEstimator
+
+BATCH = 16
+"""Frames measured together."""
+
+
+@dataclass(frozen=True)
+class Watched:
+    """A video after it has been looked at.
+
+    Attributes:
+        path: the file.
+        clip: the reference's test clip of the same name, or None.
+        performance: its motion and sound.
+    """
+
+    path: Path
+    clip: MotionClip | None
+    performance: Performance
+
+
+def check_square(path: Path) -> None:
+    """See from its header that a video can be scored.
+
+    Raises:
+        BadInput: not square, or not readable.
+    """
+    info = probe(path)
+    if info.width != info.height:
+        raise BadInput(
+            f"{path}: is {info.width}x{info.height}; give square videos that show what the "
+            "dataset's clips show"
+        )
+
+
+def square_frames(path: Path) -> Iterator[NDArray]:
+    """Frames (256, 256, 3) uint8 of a square video at 25 a second, resized where need be.
+
+    Raises:
+        BadInput: not square, or not readable.
+    """
+    check_square(path)
+    for frame in read_frames(path):
+        if len(frame) != IMAGE_SIZE:
+            how = cv2.INTER_AREA if len(frame) > IMAGE_SIZE else cv2.INTER_CUBIC
+            frame = cv2.resize(frame, (IMAGE_SIZE, IMAGE_SIZE), interpolation=how)
+        yield frame
+
+
+def _batches(frames: Iterator[NDArray]) -> Iterator[torch.Tensor]:
+    held: list[NDArray] = []
+    for frame in frames:
+        held.append(frame)
+        if len(held) == BATCH:
+            yield torch.from_numpy(np.stack(held))
+            held = []
+    if held:
+        yield torch.from_numpy(np.stack(held))
+
+
+def watch(path: Path, space: RegionSpace, estimator: RegionEstimator) -> Watched:
+    """Measure a video's motion and hear its sound.
+
+    The sound is that of the file, else that of the reference's test clip of the same name; a video
+    with neither has no onsets. The speaker is that of the training or test clip of this name; a
+    video without one is of the dataset's only speaker, if there is but one, else of an unknown
+    one.
+
+    Raises:
+        BadInput: the video cannot be used.
+    """
+    info = probe(path)
+    motion = measure_motion(estimator, _batches(square_frames(path)))
+    clip = next((clip for clip in space.test if clip.name == path.stem), None)
+    own = next((clip for clip in space.train if clip.name == path.stem), clip)
+    frames = motion.frames if clip is None else min(motion.frames, clip.motion.frames)
+    if info.has_sound:
+        times = onset_times(read_sound(path, origin=info.start)).astype(np.float64)
+        onsets = times[times < frames / FPS]
+    else:
+        onsets = np.zeros(0) if clip is None else onsets_within(clip, frames)
+    speakers = space.statistics.speakers
+    speaker = own.speaker if own else (speakers[0] if len(speakers) == 1 else None)
+    truth = None if clip is None else clip.motion[:frames]
+    return Watched(path, clip, Performance(path.stem, speaker, motion[:frames], onsets, truth))
+
+
+def evaluate_videos(
+    folder: Path,
+    reference: Path,
+    bundle_folder: Path,
+    output: Path,
+    config: EvaluationConfig | None = None,
+    *,
+    device: str = "cpu",
+    force: bool = False,
+) -> dict[str, Any]:
+    """Score a folder of videos of any system, and write the report.
+
+    Args:
+        folder: videos, square, framed as the clips; those named like a test clip are compared
+            with it.
+        reference: dataset with the true motion of test clips.
+        bundle_folder: bundle whose region estimator sees both; only its renderer is needed.
+        output: folder of the report.
+        config: how.
+        device: torch device of the estimator.
+        force: replace a report that exists.
+
+    Returns:
+        the content of results.json.
+
+    Raises:
+        BadInput: an input that cannot be used; nothing is left behind.
+    """
+    config = config or EvaluationConfig()
+    check_apart(output, [folder, reference, bundle_folder])
+    data, bundle = Dataset(reference), Bundle.open(bundle_folder)
+    if not Path(folder).is_dir():
+        raise BadInput(f"{folder}: is no folder; give one with videos")
+    paths = videos_in(Path(folder))
+    if not paths:
+        raise BadInput(f"{folder}: holds no videos")
+    for path in paths:
+        check_square(path)
+    check_perceptual(config)
+    if config.fgd is not None:
+        stored_autoencoder(config.fgd, bundle.hash_of("renderer"))
+    own = config.detected
+    if own is not None and not any((own / f"{path.stem}.npz").is_file() for path in paths):
+        raise BadInput(f"{own}: holds no NAME.npz for a video NAME of {folder}")
+    joints = {} if config.truth is None else true_joints(data, config.truth)
+    with whole_folder(output, mark=report.MARK, force=force) as part:
+        scratch = part / "motion-0"
+        space = open_space(data, bundle, scratch, device)
+        renderer = bundle.renderer().to(device)
+        watched = []
+        with progress("videos", len(paths), "videos") as advance:
+            for path in paths:
+                watched.append(watch(path, space, renderer.estimator))
+                advance()
+        known = sum(w.clip is not None for w in watched)
+        (name,) = row_names([folder])
+        about = f"{len(watched)} videos, {known} of them named like a test clip of the dataset."
+        rows = [*baselines(space, seeds_of(config)), Row(name, about, [_performances(watched)])]
+        model, scale, origin = find_autoencoder(space, part, 0, config)
+        judge = make_judge(space, model, scale)
+        bins = report.speed_bins(rows[0].runs[0], judge)
+        numbers = [report.numbers_of_row(row, judge, bins) for row in rows]
+        images, videos = None, []
+        matched = [w for w in watched if w.clip is not None]
+        if config.images:
+            frame_judge, more = make_frame_judge(data, space, renderer, joints, part, 0, config)
+            origin |= more
+            images = _images(data, name, about, matched, frame_judge, joints, config)
+            videos = _videos(data, name, matched, part, config)
+        shown = matched[0].path.stem if matched else space.test[0].name
+        result = report.numbers_of_space(
+            space,
+            judge,
+            rows,
+            numbers,
+            shown,
+            bins,
+            origin,
+            {bundle_folder.name: told_of(bundle, data)},
+        ) | {"images": images, "videos": videos}
+        remove_folder(scratch)
+        whole = numbers_of(data, [result], config)
+        report.write_report(part, data.path.resolve().name, whole)
+    return whole
+
+
+def _performances(watched: Sequence[Watched]) -> list[Performance]:
+    return [w.performance for w in watched]
+
+
+def _chosen(path: Path, numbers: NDArray) -> NDArray:
+    wanted = set(numbers.tolist())
+    return np.stack([frame for i, frame in enumerate(square_frames(path)) if i in wanted])
+
+
+def _images(
+    data: Dataset,
+    name: str,
+    about: str,
+    watched: Sequence[Watched],
+    judge: FrameJudge,
+    joints: dict[str, NDArray],
+    config: EvaluationConfig,
+) -> dict[str, Any]:
+    """Image scores of the videos that are named like a clip."""
+    gathered, stored = FrameScores(), _stored(data)
+    if config.detected is not None:
+        _add_detected(config.detected, [w.path.stem for w in watched], gathered)
+        judge = replace(judge, identity=None)
+    for w in watched:
+        assert w.clip is not None
+        numbers = config.choice.numbers(w.performance.motion.frames)
+        if not len(numbers):
+            continue
+        true, _ = read_chosen(data, stored[w.clip.name], numbers)
+        seen = pick(w.clip.motion, numbers)
+        known = joints.get(w.clip.name)
+        part = None if known is None else known[numbers]
+        compare(judge, gathered, true, _chosen(w.path, numbers), seen, part)
+    return {
+        "about": f"{config.choice}, of the videos named like a test clip. Perceptual distance by "
+        f"{judge.perceptual.backend}.",
+        "rows": [report.numbers_of_images(name, about, gathered.scores())],
+    }
+
+
+def _add_detected(folder: Path, names: Sequence[str], gathered: FrameScores) -> None:
+    """Add what another network or detector found in the clips, as far as there are files."""
+    files = [path for name in names if (path := folder / f"{name}.npz").is_file()]
+    for path in files:
+        for name, sides in (("embeddings", gathered.embeddings), ("points", gathered.detected)):
+            pair = read_pair(path, name)
+            if pair is not None:
+                for side, values in zip(sides, pair, strict=True):
+                    side.append(values)
+    gathered.without_embeddings = f"{folder.name} holds no embeddings"
+
+
+def _stored(data: Dataset) -> dict[str, Clip]:
+    return {clip.id: clip for clip in data.clips()}
+
+
+def _videos(
+    data: Dataset, name: str, watched: Sequence[Watched], folder: Path, config: EvaluationConfig
+) -> list[str]:
+    """Side by side: the recorded clip and the video of its name."""
+    place, names = folder / "videos-0", []
+    for w in watched[: config.videos_shown]:
+        assert w.clip is not None
+        place.mkdir(exist_ok=True)
+        clip = _stored(data)[w.clip.name]
+        frames = padded(square_frames(w.path), clip.n_frames)
+        write_video(place / f"{clip.id}.mp4", data, clip, {name: frames})
+        names.append(f"{place.name}/{clip.id}.mp4")
+    return names

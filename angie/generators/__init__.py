@@ -1,0 +1,1 @@
+"""Gesture generators: speech and a start pose in, region motion out."""

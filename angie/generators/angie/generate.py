@@ -1,0 +1,292 @@
+"""Gesture generators: speech and a start pose in, region motion out."""
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import torch
+from scipy.ndimage import gaussian_filter1d
+from torch import Tensor
+
+from angie.generators.angie.codes import encode_whole
+from angie.generators.angie.direct import DirectMotion
+from angie.generators.angie.gpt import CoSpeechGPT
+from angie.generators.angie.refiner import Refiner
+from angie.generators.angie.sampling import Sampling, Window, continue_codes
+from angie.generators.angie.tokenizer import VQMotionExtractor
+from angie.motion.channels import Channels
+from angie.motion.drift import MODES, Anchors, activity, bounded, integrate_bounded, remove_mean
+from angie.motion.statistics import MotionStatistics
+from angie.motion.windows import BLENDS
+from data_prep.rates import FRAMES_PER_TOKEN, tokens_covering
+from data_prep.speech.features import SpeechFeatures
+from mraa.motion import Motion, positive, render_floor
+
+DECODINGS = ("full", "chunked", "auto")
+
+
+class GestureGenerator(Protocol):
+    """What every gesture generator can do."""
+
+    def generate(
+        self,
+        speech: SpeechFeatures,
+        start: Motion,
+        frames: int,
+        seed: int = 0,
+        speaker: str | None = None,
+    ) -> Motion:
+        """Gesture to speech.
+
+        Args:
+            speech: features of the whole recording, covering at least `frames` frames.
+            start: pose of the photo, one frame: shift (1, K, 2), cholesky (1, K, 3).
+            frames: number of frames T to make, 25 a second.
+            seed: everything random follows from it.
+            speaker: name of a speaker of the training set, or None for anyone.
+
+        Returns:
+            Motion of exactly T frames on the CPU; frame 1 is the start pose.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class GenerationConfig:
+    """How motion is generated; the defaults are the paper's.
+
+    Attributes:
+        sampling: how codes are chosen.
+        window: what the GPT sees of long sound.
+        bounding: drift bounding, "auto" (above 10 s), "on" or "off".
+        decode: "full" (all codes in one pass), "chunked" (12 codes at a time, blended) or
+            "auto": whichever reconstructed long held-out clips better after training.
+        blend: how windows of decoder and refiner are blended, "linear" or "hann"; see
+            `angie.motion.windows.BLENDS`.
+        refine: add the refiner's residuals.
+        reanchor: where motion is bounded, fade toward a training pose in pauses.
+        smooth: standard deviation, in frames, of a Gaussian over time on the Cholesky factors;
+            0 leaves them.
+    """
+
+    sampling: Sampling = field(default_factory=Sampling)
+    window: Window = field(default_factory=Window)
+    bounding: str = "off"
+    decode: str = "full"
+    blend: str = "linear"
+    refine: bool = True
+    reanchor: bool = False
+    smooth: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.bounding not in MODES:
+            raise ValueError(f"bounding is one of {', '.join(MODES)}, not {self.bounding!r}")
+        if self.decode not in DECODINGS:
+            raise ValueError(f"decode is one of {', '.join(DECODINGS)}, not {self.decode!r}")
+        if self.blend not in BLENDS:
+            raise ValueError(f"blend is one of {', '.join(BLENDS)}, not {self.blend!r}")
+        if self.smooth < 0:
+            raise ValueError("smooth is a number of frames, 0 for none")
+
+
+def voiced_tokens(onset: Tensor) -> Tensor:
+    """Which tokens have sound, from the level in the first cepstral coefficient.
+
+    A token is voiced when its level is above floor + 0.15 (p95 - floor), the floor being the 5th
+    percentile; sound of constant level, such as digital silence, has no voiced token.
+
+    Args:
+        onset: (S, 426) raw onset features.
+
+    Returns:
+        (S,) bool.
+    """
+    level = onset[:, 0].double()
+    floor, loud = level.quantile(torch.tensor([0.05, 0.95], dtype=torch.float64)).unbind()
+    return level > floor + 0.15 * (loud - floor)
+
+
+@dataclass
+class AngieGenerator:
+    """ANGIE (NeurIPS 2022): codes from the GPT, deltas from the decoders, refined by rhythm.
+
+    Attributes:
+        vq: VQ motion extractor, or the model that regresses motion without codes.
+        gpt: co-speech GPT trained on its codes; None for a model without codes.
+        refiner: refiner trained on its patterns.
+        statistics: those all three were trained with.
+        config: how to generate.
+    """
+
+    vq: VQMotionExtractor | DirectMotion
+    gpt: CoSpeechGPT | None
+    refiner: Refiner
+    statistics: MotionStatistics
+    config: GenerationConfig = field(default_factory=GenerationConfig)
+    chunked: bool = False
+    """What `decode="auto"` means for these parts."""
+
+    def __post_init__(self) -> None:
+        regions = {
+            self.vq.config.regions,
+            self.refiner.config.regions,
+            self.statistics.regions,
+        }
+        alone = isinstance(self.vq, DirectMotion)
+        if self.gpt is None or alone:
+            fit = alone and self.gpt is None
+        else:
+            sizes, codes = self.gpt.config, self.vq.config
+            fit = (sizes.codes, sizes.streams) == (codes.codes, codes.streams)
+        if len(regions) > 1 or not fit:
+            raise ValueError("the parts of the generator were not trained on one another")
+        for part in (self.vq, self.gpt, self.refiner):
+            if part is not None:
+                part.eval().requires_grad_(False)
+        self.channels = Channels.of(self.statistics, self.vq.config.quant)
+
+    @torch.no_grad()
+    def generate(
+        self,
+        speech: SpeechFeatures,
+        start: Motion,
+        frames: int,
+        seed: int = 0,
+        speaker: str | None = None,
+        start_codes: Tensor | None = None,
+        style: str | None = None,
+    ) -> Motion:
+        """Gesture to speech; see `GestureGenerator.generate`.
+
+        Args:
+            speech: features of the whole recording.
+            start: pose of the photo, one frame.
+            frames: number of frames T to make.
+            seed: of the sampling; the same seed gives the same motion on one device.
+            speaker: a speaker of the training set who gestures: in their style, and in long
+                motion around their rest pose; None takes the start pose for rest.
+            start_codes: (2, P) codes to begin with, such as those of a seed motion; None begins
+                still.
+            style: a speaker of the training set whose style alone is taken; None takes that of
+                `speaker`. Joint models alone tell styles apart.
+
+        Raises:
+            ValueError: too few features for `frames`, or a start pose of other regions.
+            BadInput: an unknown speaker or style.
+        """
+        tokens = tokens_covering(frames)
+        if frames < 1 or len(speech.mfcc) < frames or len(speech.onset) < tokens:
+            raise ValueError(
+                f"{frames} frames need as many MFCC windows and {tokens} onset features, "
+                f"not {len(speech.mfcc)} and {len(speech.onset)}"
+            )
+        if start.frames != 1 or start.regions != self.statistics.regions:
+            raise ValueError(f"the start pose is one frame of {self.statistics.regions} regions")
+        first = start.vector()[0].detach().cpu().float()
+        onset = torch.as_tensor(speech.onset[:tokens])
+        mfcc = torch.as_tensor(speech.mfcc[:frames])
+        like = speaker if style is None else style
+        who = None if like is None else self.statistics.place_of(like)
+        if isinstance(self.vq, DirectMotion):
+            sound = self.statistics.standard_onset(onset)
+            delta = self.vq.predict(sound, who, self.config.blend)
+        else:
+            delta = self._decode(self._codes(onset, seed, start_codes, who))
+        pattern = self._integrate(delta[:frames], first, speaker)
+        motion = pattern + self._residual(mfcc, pattern) if self.config.refine else pattern
+        return self._renderable(motion, first)
+
+    @torch.no_grad()
+    def codes_of(self, motion: Motion) -> Tensor | None:
+        """Codes (streams, S) of recorded motion, to begin generated motion with (`start_codes`).
+
+        All codes of a clip are its reconstruction; its first one alone, `codes[:, :1]`, is the
+        protocol of the papers' tables; those of a few seconds of another clip are a seed.
+        Motion that ends inside a token is continued with stillness.
+
+        Args:
+            motion: recorded motion of any length.
+
+        Returns:
+            the codes, or None if the generator has none.
+        """
+        if isinstance(self.vq, DirectMotion):
+            return None
+        return encode_whole(self.vq, motion.vector(), self.channels)
+
+    def _codes(
+        self, onset: Tensor, seed: int, start_codes: Tensor | None, speaker: int | None = None
+    ) -> Tensor:
+        """Codes (streams, S) of raw onset features (S, 426)."""
+        assert isinstance(self.vq, VQMotionExtractor) and self.gpt is not None
+        still = self.vq.start_codes().cpu()
+        begin = still[:, None] if start_codes is None else start_codes
+        return continue_codes(
+            self.gpt,
+            begin,
+            self.statistics.standard_onset(onset),
+            self.config.sampling,
+            torch.Generator().manual_seed(seed),
+            voiced=voiced_tokens(onset),
+            window=self.config.window,
+            speaker=speaker,
+            still=still,
+        )
+
+    def _decode(self, codes: Tensor) -> Tensor:
+        """Normalised deltas (8S, 5K) of codes (streams, S) on the CPU."""
+        assert isinstance(self.vq, VQMotionExtractor)
+        codes = codes.to(self.vq.mean.device)
+        chunked = self.chunked if self.config.decode == "auto" else self.config.decode == "chunked"
+        return (
+            self.vq.decode_chunked(codes, self.config.blend)
+            if chunked
+            else self.vq.decode_whole(codes)
+        )
+
+    def _integrate(self, delta: Tensor, start: Tensor, speaker: str | None) -> Tensor:
+        """Pattern motion (T, 5K) of normalised deltas.
+
+        Bounding is for relative shift and Cholesky factor; other variants are summed up plainly.
+        """
+        statistics = self.statistics
+        plain = self.channels.covariance or not self.channels.all_relative
+        if plain or not bounded(self.config.bounding, len(delta)):
+            return self.channels.integrate(delta, start)
+        rest = start if speaker is None else statistics.rest_of(speaker)
+        delta = remove_mean(delta, self.vq.mean.cpu())
+        anchors = None
+        if self.config.reanchor and len(statistics.anchors):
+            calm = activity(delta)[:, 0] <= statistics.calm
+            anchors = Anchors(statistics.anchors, statistics.pose_scale, calm)
+        delta = delta * statistics.delta_scale
+        return integrate_bounded(delta, start, rest, statistics.low, statistics.high, anchors)
+
+    def _residual(self, mfcc: Tensor, pattern: Tensor) -> Tensor:
+        """Residual motion (T, 5K); it grows from zero over the first token."""
+        scale = self.statistics.pose_scale
+        residual = self.refiner.refine(
+            mfcc, pattern / scale, self.statistics.standard_mfcc, self.config.blend
+        )
+        place = torch.arange(len(residual), dtype=torch.float32)
+        return residual * scale * (place / FRAMES_PER_TOKEN).clamp_max(1)[:, None]
+
+    def _renderable(self, motion: Tensor, start: Tensor) -> Motion:
+        """Positive factors within the render floor; frame 1 is the start pose."""
+        pose, made = self._motion(start[None]), self._motion(motion)
+        if self.config.smooth and made.has_extent:
+            factors = gaussian_filter1d(
+                made.cholesky.numpy(), self.config.smooth, 0, mode="nearest"
+            )
+            made = Motion(made.shift, torch.from_numpy(factors))
+        statistics = self.statistics
+        fixed = positive(made)
+        fixed = render_floor(fixed, statistics.diagonal_low, statistics.diagonal_high, pose)
+        vector = fixed.vector()
+        vector[0] = start
+        return self._motion(vector)
+
+    def _motion(self, vector: Tensor) -> Motion:
+        """Motion of vectors (T, 5K), or (T, 2K) for points without extent."""
+        if self.statistics.has_extent:
+            return Motion.from_vector(vector)
+        return Motion.of_points(vector.unflatten(-1, (self.statistics.regions, 2)))

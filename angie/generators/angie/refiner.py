@@ -1,0 +1,185 @@
+"""The motion refiner: rhythmic residuals on top of the common patterns, from MFCC windows.
+
+ANGIE (NeurIPS 2022), section 3.4: bidirectional LSTMs see the absolute pattern motion and the
+sound and predict residuals of shift and Cholesky factor, M = pattern + residual.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor, nn
+
+from angie.motion.windows import WINDOW, cross_fade
+from data_prep.speech.features import MFCC_COLUMNS, MFCC_ROWS
+
+MFCC_ENCODERS = ("linear", "conv")
+
+
+@dataclass(frozen=True)
+class RefinerConfig:
+    """Architecture of the refiner; the paper does not state sizes.
+
+    Attributes:
+        regions: K.
+        sound: channels of the MFCC frame encoder.
+        motion: channels of the motion embedding.
+        hidden: of the LSTM, per direction.
+        layers: of the LSTM.
+        dropout: between LSTM layers.
+        mfcc_encoder: "linear" (two linear layers) or "conv" (ATVGnet's five convolutions).
+        streams: 2 are shift and Cholesky factor, 1 is shift alone (keypoints).
+    """
+
+    regions: int = 20
+    sound: int = 256
+    motion: int = 128
+    hidden: int = 256
+    layers: int = 2
+    dropout: float = 0.1
+    mfcc_encoder: str = field(default="linear", metadata={"later": True})
+    streams: int = field(default=2, metadata={"later": True})
+
+    def __post_init__(self) -> None:
+        if self.mfcc_encoder not in MFCC_ENCODERS:
+            names = ", ".join(MFCC_ENCODERS)
+            raise ValueError(f"mfcc_encoder is one of {names}, not {self.mfcc_encoder!r}")
+        if self.streams not in (1, 2):
+            raise ValueError(f"there are 1 or 2 streams of motion, not {self.streams}")
+        if min(self.regions, self.sound, self.motion, self.hidden, self.layers) < 1:
+            raise ValueError("regions, sound, motion, hidden and layers must be positive")
+        if not 0 <= self.dropout < 1:
+            raise ValueError(f"dropout lies between 0 and 1, not {self.dropout:g}")
+
+    @property
+    def channels(self) -> list[int]:
+        """Channels of each stream."""
+        return [2 * self.regions, 3 * self.regions][: self.streams]
+
+
+def linear_encoder(channels: int) -> nn.Sequential:
+    """MFCC windows (n, 28 * 12) to (n, channels) by two linear layers."""
+    return nn.Sequential(
+        nn.Linear(MFCC_ROWS * MFCC_COLUMNS, channels),
+        nn.LayerNorm(channels),
+        nn.GELU(),
+        nn.Linear(channels, channels),
+    )
+
+
+def conv_encoder(channels: int) -> nn.Sequential:
+    """MFCC windows (n, 28 * 12) to (n, channels) by ATVGnet's layers.
+
+    Five 3x3 convolutions of 64, 128, 256, 256 and 512 channels; after the second a maximum over
+    3x3 every (1, 2), after the last one over 3x3 every (2, 2): 28x12 becomes 12x2, and 12,288
+    numbers go through 2048 to the result.
+    """
+    layers: list[nn.Module] = [nn.Unflatten(-1, (1, MFCC_ROWS, MFCC_COLUMNS))]
+    width = 1
+    for place, wider in enumerate((64, 128, 256, 256, 512)):
+        layers += [nn.Conv2d(width, wider, 3, padding=1), nn.ReLU()]
+        if place in (1, 4):
+            layers.append(nn.MaxPool2d(3, stride=(1, 2) if place == 1 else (2, 2)))
+        width = wider
+    layers += [nn.Flatten(), nn.Linear(12 * 2 * width, 2048), nn.ReLU(), nn.Linear(2048, channels)]
+    return nn.Sequential(*layers)
+
+
+class StreamRefiner(nn.Module):
+    """Residuals of one stream of C channels."""
+
+    def __init__(self, channels: int, config: RefinerConfig) -> None:
+        super().__init__()
+        encoders = {"linear": linear_encoder, "conv": conv_encoder}
+        self.sound = encoders[config.mfcc_encoder](config.sound)
+        self.motion = nn.Linear(channels, config.motion)
+        self.lstm = nn.LSTM(
+            config.sound + config.motion,
+            config.hidden,
+            config.layers,
+            batch_first=True,
+            bidirectional=True,
+            dropout=config.dropout if config.layers > 1 else 0.0,
+        )
+        self.out = nn.Linear(2 * config.hidden, channels)
+        nn.init.zeros_(self.out.weight)
+        nn.init.zeros_(self.out.bias)
+
+    def forward(self, mfcc: Tensor, displacement: Tensor) -> Tensor:
+        """MFCC windows (B, T, 28, 12), displacement (B, T, C) to residuals (B, T, C)."""
+        batch, frames = mfcc.shape[:2]
+        sound = self.sound(mfcc.flatten(-2).flatten(0, 1)).unflatten(0, (batch, frames))
+        seen = torch.cat([sound, self.motion(displacement)], dim=-1)
+        hidden, _ = self.lstm(seen)
+        return self.out(hidden)
+
+
+class Refiner(nn.Module):
+    """Residual motion from sound and pattern motion; exactly zero before training.
+
+    Poses and residuals are in units of the training displacement's standard deviation.
+
+    Args:
+        config: architecture.
+    """
+
+    def __init__(self, config: RefinerConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.shift = StreamRefiner(2 * config.regions, config)
+        if config.streams > 1:
+            self.cholesky = StreamRefiner(3 * config.regions, config)
+
+    @property
+    def streams(self) -> list[StreamRefiner]:
+        """Of shift and, if there is one, of the Cholesky factor."""
+        return [self.shift, self.cholesky] if self.config.streams > 1 else [self.shift]
+
+    def forward(self, mfcc: Tensor, pattern: Tensor) -> Tensor:
+        """Residuals of a window.
+
+        Only the displacement from the window's first frame is seen, so that the place of the
+        person does not matter.
+
+        Args:
+            mfcc: (B, T, 28, 12) standardised.
+            pattern: (B, T, 5K) absolute pattern motion in units of the pose scale.
+
+        Returns:
+            (B, T, 5K) residuals in units of the pose scale.
+        """
+        displacement = (pattern - pattern[:, :1]).split(self.config.channels, dim=-1)
+        parts = zip(self.streams, displacement, strict=True)
+        return torch.cat([stream(mfcc, part) for stream, part in parts], dim=-1)
+
+    @torch.no_grad()
+    def refine(
+        self,
+        mfcc: Tensor,
+        pattern: Tensor,
+        standard: Callable[[Tensor], Tensor] = lambda mfcc: mfcc,
+        blend: str = "linear",
+    ) -> Tensor:
+        """Residuals of a sequence of any length, in overlapping windows of 96 frames.
+
+        The LSTMs start anew in each window, as in training.
+
+        Args:
+            mfcc: (T, 28, 12).
+            pattern: (T, 5K) in units of the pose scale.
+            standard: standardises MFCC windows (n, 96, 28, 12), a few at a time.
+            blend: how residuals of windows become those of all, see `angie.motion.windows.BLENDS`.
+
+        Returns:
+            (T, 5K) residuals in units of the pose scale, on the CPU.
+        """
+        device = self.shift.out.weight.device
+        frames = len(pattern)
+        size = min(WINDOW, frames)
+
+        def compute(starts: list[int]) -> Tensor:
+            sound = torch.stack([mfcc[at : at + size] for at in starts])
+            motion = torch.stack([pattern[at : at + size] for at in starts])
+            return self(standard(sound.to(device)), motion.to(device))
+
+        return cross_fade(frames, WINDOW, compute, blend)

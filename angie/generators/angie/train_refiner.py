@@ -1,0 +1,211 @@
+"""Training of the motion refiner on the patterns of a frozen VQ motion extractor."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from angie.generators.angie.codes import patterns
+from angie.generators.angie.direct import DirectMotion
+from angie.generators.angie.refiner import Refiner, RefinerConfig
+from angie.generators.angie.tokenizer import VQMotionExtractor
+from angie.motion.channels import Channels
+from angie.motion.windows import STRIDE, MotionWindows, check_stride
+from data_prep.rates import FRAMES_PER_TOKEN
+from mraa.motion import Motion
+from mraa.training.checkpoint import BestWeights, Schedule
+from mraa.training.run import Run, RunConfig
+
+
+@dataclass(frozen=True)
+class RefinerTraining:
+    """Training of the refiner.
+
+    Attributes:
+        schedule: Adam 1e-4 with betas (0.9, 0.999), batch 32, 100 epochs.
+        drifting: share of the windows that get a random linear drift to remove.
+        checks: evenly spaced evaluations on the held-out windows.
+        covariance: weight of the mean absolute error of C = L L^T, in units of its mean size.
+        stride: frames from one training window to the next, a multiple of 8.
+        velocity: weight of the mean absolute error of the change from frame to frame, in which
+            the rhythm is; not in the paper.
+    """
+
+    schedule: Schedule = field(
+        default_factory=lambda: Schedule(rate=1e-4, betas=(0.9, 0.999), epochs=100)
+    )
+    drifting: float = 0.5
+    checks: int = 50
+    covariance: float = 0.0
+    stride: int = STRIDE
+    velocity: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.checks < 1 or not 0 <= self.drifting <= 1:
+            raise ValueError("checks must be positive, drifting a share")
+        if min(self.covariance, self.velocity) < 0:
+            raise ValueError("covariance and velocity must not be negative")
+        check_stride(self.stride, FRAMES_PER_TOKEN)
+
+
+def pattern_windows(vq: VQMotionExtractor | DirectMotion, windows: MotionWindows) -> MotionWindows:
+    """Windows with `poses`, `mfcc` and `pattern` (T, 5K), in units of the pose scale.
+
+    The pattern is integrated from the true first frame, as generation does from the photo.
+    """
+    channels = Channels.of(windows.statistics, vq.config.quant)
+    scale = windows.statistics.pose_scale
+    values, posed = patterns(vq, windows), windows.choose(["poses"])
+    made = []
+    for first in range(0, len(windows), 64):
+        start = posed.stack("poses", first, first + 64)[:, 1]
+        made.append(channels.integrate(values[first : first + 64], start) / scale)
+    return windows.choose(["poses", "mfcc"], pattern=torch.cat(made))
+
+
+def truth_of(batch: dict[str, Tensor], scale: Tensor) -> Tensor:
+    """True motion (B, T, 5K) of a batch in units of the pose scale."""
+    return batch["poses"][:, 1:] / scale
+
+
+def drift_slopes(windows: MotionWindows, at_once: int = 64) -> Tensor:
+    """95th percentile (5K,) of the slope, per frame, at which patterns drift from the truth."""
+    slopes = []
+    for first in range(0, len(windows), at_once):
+        batch = {part: windows.stack(part, first, first + at_once) for part in ("poses", "pattern")}
+        truth = truth_of(batch, windows.statistics.pose_scale)
+        off = (batch["pattern"] - truth)[:, -1].abs()
+        slopes.append(off / max(1, truth.shape[1] - 1))
+    return torch.cat(slopes).quantile(0.95, dim=0)
+
+
+def add_drift(pattern: Tensor, slopes: Tensor, share: float) -> Tensor:
+    """Add a random linear drift, slope uniform in +-`slopes`, to a share of the windows."""
+    batch, frames, channels = pattern.shape
+    device = pattern.device
+    slope = (2 * torch.rand(batch, 1, channels, device=device) - 1) * slopes
+    chosen = torch.rand(batch, 1, 1, device=device) < share
+    place = torch.arange(frames, device=device, dtype=pattern.dtype)[:, None]
+    return pattern + chosen * slope * place
+
+
+def refiner_loss(residual: Tensor, pattern: Tensor, truth: Tensor, shifts: int) -> Tensor:
+    """Mean absolute error of shift plus that of the Cholesky factor, |M - M^| (equation 10).
+
+    The first `shifts` channels are of the shift; there may be no others.
+    """
+    error = (pattern + residual.float() - truth).abs()
+    parts = error.split([shifts, error.shape[-1] - shifts], dim=-1)
+    return torch.stack([part.mean() for part in parts if part.shape[-1]]).sum()
+
+
+def whole_loss(
+    residual: Tensor,
+    pattern: Tensor,
+    truth: Tensor,
+    scale: Tensor,
+    shifts: int,
+    training: RefinerTraining,
+) -> Tensor:
+    """`refiner_loss` and what `training` adds to it, all in units of the pose scale (5K,)."""
+    loss = refiner_loss(residual, pattern, truth, shifts)
+    made = pattern + residual.float()
+    if training.covariance:
+        loss = loss + training.covariance * covariance_loss(made, truth, scale)
+    if training.velocity:
+        loss = loss + training.velocity * (made - truth).diff(dim=1).abs().mean()
+    return loss
+
+
+def covariance_loss(made: Tensor, truth: Tensor, scale: Tensor) -> Tensor:
+    """Mean absolute error of C = L L^T over the mean size of the true C.
+
+    Args:
+        made: (B, T, 5K) motion in units of `scale`.
+        truth: likewise.
+        scale: (5K,).
+    """
+    covariance, target = (Motion.from_vector(v.float() * scale).covariance() for v in (made, truth))
+    return (covariance - target).abs().mean() / target.abs().mean()
+
+
+def train_refiner(
+    folder: Path,
+    vq: VQMotionExtractor | DirectMotion,
+    windows: MotionWindows,
+    held_out: MotionWindows | None,
+    config: RefinerConfig,
+    training: RefinerTraining,
+    *,
+    seed: int = 0,
+    run_config: RunConfig | None = None,
+    resume: bool = False,
+) -> Refiner:
+    """Train the refiner to lead patterns of true codes to the true motion.
+
+    Args:
+        folder: where checkpoint and curves go.
+        vq: the trained extractor, frozen.
+        windows: training windows.
+        held_out: windows of other clips, to keep the weights that do best on them; or None.
+        config: architecture.
+        training: how to train.
+        seed: everything random follows from it.
+        run_config: device, precision and so on.
+        resume: go on from the checkpoint in `folder`.
+
+    Returns:
+        The trained refiner in evaluation mode.
+    """
+    schedule, items = training.schedule, len(windows)
+    steps = schedule.steps(items)
+    every = max(1, steps // training.checks)
+    run = Run(folder, "refiner", steps=steps, seed=seed, config=run_config, resume=resume)
+    vq = vq.to(run.device)
+    windows = pattern_windows(vq, windows)
+    held_out = None if held_out is None else pattern_windows(vq, held_out)
+    refiner = Refiner(config)
+    best = BestWeights(refiner)
+    model, optimizer = run.setup(best, schedule.adam(refiner))
+    batches = run.batches(windows, schedule.batch)
+    scale = windows.statistics.pose_scale.to(run.device)
+    slopes = drift_slopes(windows).to(run.device)
+    model.train()
+    for step in run.steps():
+        run.rate(optimizer, schedule.rate, schedule.milestone_steps(items))
+        batch = next(batches)
+        truth = truth_of(batch, scale)
+        pattern = add_drift(batch["pattern"], slopes, training.drifting)
+        residual = model(batch["mfcc"], pattern)
+        loss = whole_loss(residual, pattern, truth, scale, config.channels[0], training)
+        run.backward(loss)
+        run.clip(model, optimizer, schedule.clip)
+        optimizer.step()
+        optimizer.zero_grad()
+        if held_out is not None and (step + 1) % every == 0:
+            best.consider(run.fabric.broadcast(held_out_loss(refiner, held_out, training)))
+        run.log(loss=loss, **best.scores())
+    best.restore()
+    return refiner.eval().cpu()
+
+
+@torch.no_grad()
+def held_out_loss(
+    refiner: Refiner, windows: MotionWindows, training: RefinerTraining, at_once: int = 64
+) -> float:
+    """Mean loss, as in training, of pattern windows without added drift."""
+    scale, learning = windows.statistics.pose_scale, refiner.training
+    device = refiner.shift.out.weight.device
+    refiner.eval()
+    total = 0.0
+    for first in range(0, len(windows), at_once):
+        parts = ("poses", "mfcc", "pattern")
+        batch = {part: windows.stack(part, first, first + at_once) for part in parts}
+        pattern, truth = batch["pattern"].to(device), truth_of(batch, scale).to(device)
+        residual = refiner(batch["mfcc"].to(device), pattern)
+        split = refiner.config.channels[0]
+        loss = whole_loss(residual, pattern, truth, scale.to(device), split, training)
+        total += float(loss) * len(pattern)
+    refiner.train(learning)
+    return total / len(windows)

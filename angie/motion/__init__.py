@@ -1,0 +1,1 @@
+"""Region motion as generators see it: channels, statistics, windows, drift."""

@@ -1,0 +1,80 @@
+"""Clips as the motion stages see them: region motion and speech features."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_prep.dataset import Dataset
+from data_prep.errors import BadInput
+from data_prep.rates import FPS, FRAMES_PER_TOKEN, SAMPLES_PER_FRAME
+from data_prep.speech.features import SpeechFeatures, onset_rows
+from mraa.motion import Motion, read_motion
+
+
+@dataclass(frozen=True)
+class MotionClip:
+    """A clip as the motion stages see it.
+
+    Attributes:
+        name: the clip's id.
+        speaker: the speaker's name.
+        motion: shift (T, K, 2), cholesky (T, K, 3).
+        features: onset (S, 426) and mfcc (T, 28, 12), raw.
+    """
+
+    name: str
+    speaker: str
+    motion: Motion
+    features: SpeechFeatures
+
+    def __post_init__(self) -> None:
+        frames, tokens = len(self.features.mfcc), len(self.features.onset)
+        if self.motion.frames > frames or self.motion.frames > tokens * FRAMES_PER_TOKEN:
+            raise BadInput(
+                f"{self.name}: {self.motion.frames} frames of motion but {frames} of sound; "
+                "prepare the dataset again"
+            )
+
+
+def begun_later(clip: MotionClip, samples: NDArray, frames: int) -> MotionClip:
+    """A clip without its first frames; tokens are counted from where it begins now.
+
+    Unless `frames` is a multiple of 8, the same motion and sound give other codes and onset rows.
+
+    Args:
+        clip: longer than `frames`.
+        samples: (N,) float32, its sound at 16 kHz.
+        frames: left out.
+    """
+    onset = onset_rows(samples[frames * SAMPLES_PER_FRAME :])
+    times = clip.features.onset_times - np.float32(frames / FPS)
+    features = SpeechFeatures(onset, clip.features.mfcc[frames:], times[times >= 0])
+    motion = clip.motion[frames:]
+    return MotionClip(f"{clip.name}+{frames}", clip.speaker, motion, features)
+
+
+def read_clips(
+    data: Dataset, folder: Path, split: str, estimator: str | None = None
+) -> list[MotionClip]:
+    """Read motion and features of all clips of a split.
+
+    Args:
+        data: the prepared dataset.
+        folder: folder of the motion files, `<clip id>.npz`.
+        split: name of the split, such as "train".
+        estimator: hash of the region estimator that must have measured the motion.
+
+    Raises:
+        BadInput: a clip without motion, or measured by another region estimator.
+    """
+    return [
+        MotionClip(
+            name=clip.id,
+            speaker=clip.speaker,
+            motion=read_motion(Path(folder) / f"{clip.id}.npz", estimator),
+            features=data.features(clip),
+        )
+        for clip in data.clips(split=split)
+    ]

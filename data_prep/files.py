@@ -1,0 +1,143 @@
+"""Outputs appear whole or not at all: written beside their place, then moved there.
+
+A lock on a folder that ends with the process, however that ends.
+"""
+
+import os
+import secrets
+import shutil
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+from data_prep.errors import BadInput
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(f".{path.stem}.{secrets.token_hex(4)}.part{path.suffix}")
+
+
+def check_output(path: Path, *, force: bool = False) -> None:
+    """Refuse an output path that cannot be written, before any work is done for it.
+
+    Raises:
+        BadInput: the parent is missing or not writable, or the output exists without `force`.
+    """
+    path = Path(path)
+    parent = path.absolute().parent
+    try:
+        if not parent.is_dir():
+            raise BadInput(f"{path}: the folder {parent} does not exist; make it first")
+        if path.exists() and not force:
+            raise BadInput(f"{path}: exists already; give another name or --force")
+        probe = _beside(path)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise BadInput(f"{path}: cannot write there ({error.strerror})") from error
+
+
+@contextmanager
+def whole_file(path: Path, *, force: bool = False) -> Iterator[Path]:
+    """Yield a temporary path in the folder of `path`; it becomes `path` if the block succeeds.
+
+    Args:
+        path: the file to make.
+        force: replace an existing file.
+
+    Raises:
+        BadInput: as `check_output`.
+    """
+    path = Path(path)
+    check_output(path, force=force)
+    if path.is_dir():
+        raise BadInput(f"{path}: is a folder; name a file")
+    part = _beside(path)
+    try:
+        yield part
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@contextmanager
+def whole_folder(path: Path, *, mark: str, force: bool = False) -> Iterator[Path]:
+    """Yield a new empty folder beside `path`; it becomes `path` if the block succeeds.
+
+    Args:
+        path: the folder to make.
+        mark: name of a file that every such folder holds; `force` replaces no other folder.
+        force: replace an existing folder of this kind.
+
+    Raises:
+        BadInput: as `check_output`, or the folder that exists is not of this kind.
+    """
+    path = Path(path).resolve()
+    check_output(path, force=force)
+    if path.exists() and not (path / mark).is_file():
+        raise BadInput(f"{path}: holds other things (no {mark}); name a new folder")
+    part = _beside(path)
+    part.mkdir()
+    try:
+        yield part
+        if path.exists():
+            old = _beside(path)
+            os.replace(path, old)
+            try:
+                os.replace(part, path)
+            except OSError:
+                os.replace(old, path)
+                raise
+            shutil.rmtree(old)
+        else:
+            os.replace(part, path)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def check_apart(output: Path, inputs: Iterable[Path]) -> None:
+    """Refuse an output that is, holds or lies in the place of one of the inputs.
+
+    Raises:
+        BadInput: writing the output would replace an input.
+    """
+    target = Path(output).resolve()
+    for given in inputs:
+        source = Path(given).resolve()
+        if target == source or target in source.parents:
+            raise BadInput(f"{output}: would replace the input {given}; name another output")
+
+
+LOCK = ".lock"
+
+
+def _take(file: IO[bytes]) -> None:
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+@contextmanager
+def locked(folder: Path, what: Path) -> Iterator[None]:
+    """Hold the lock of a folder while the block runs.
+
+    Args:
+        folder: that is worked in.
+        what: to name in the message.
+
+    Raises:
+        BadInput: another process holds it.
+    """
+    with (folder / LOCK).open("wb") as file:
+        try:
+            _take(file)
+        except OSError as error:
+            raise BadInput(f"{what}: another run is making it; wait until it has ended") from error
+        yield

@@ -1,0 +1,68 @@
+"""Photos: any picture file as upright 8-bit RGB."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from data_prep.errors import BadInput
+from data_prep.media.container import check_file, describe
+
+MIN_SIDE = 32
+"""Pixels of the shorter side below which nothing can be recognised."""
+
+_GREY = (128, 128, 128, 255)
+
+
+def _to_eight_bits(image: Image.Image) -> Image.Image:
+    """A 16-bit, 32-bit or float greyscale picture as 8-bit; others as they are."""
+    if not image.mode.startswith(("I", "F")):
+        return image
+    values = np.asarray(image, np.float64)
+    if image.mode.startswith("I"):
+        values = values * (255 / 65535)
+    elif values.max(initial=0) <= 1:
+        values = values * 255
+    return Image.fromarray(np.clip(np.rint(values), 0, 255).astype(np.uint8), "L")
+
+
+def read_photo(path: Path) -> np.ndarray:
+    """Read a photo, turned upright by its EXIF orientation.
+
+    Greyscale and palette pictures become RGB, transparency is laid over mid grey, 16-bit
+    greyscale is scaled to 8 bits, and the first picture of an animation is taken.
+
+    Args:
+        path: any picture format that Pillow reads.
+
+    Returns:
+        pixels `(H, W, 3)` uint8 RGB.
+
+    Raises:
+        BadInput: missing, a folder, 0 bytes, not a picture, damaged, or tiny.
+    """
+    path = Path(path)
+    check_file(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(path) as opened:
+                image = ImageOps.exif_transpose(opened)
+                image = _to_eight_bits(image)
+                if image.has_transparency_data:
+                    ground = Image.new("RGBA", image.size, _GREY)
+                    image = Image.alpha_composite(ground, image.convert("RGBA"))
+                pixels = np.array(image.convert("RGB"))
+    except UnidentifiedImageError as error:
+        raise BadInput(f"{path}: not a picture; give a photo (jpg, png, webp ...)") from error
+    except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
+        raise BadInput(f"{path}: is too large a picture; scale it down first") from error
+    except Exception as error:  # Pillow's decoders raise whatever a damaged file leads them to
+        raise BadInput(
+            f"{path}: the picture is damaged ({describe(error)}); copy or save it again"
+        ) from error
+    if min(pixels.shape[:2]) < MIN_SIDE:
+        height, width = pixels.shape[:2]
+        raise BadInput(f"{path}: is only {width}x{height} pixels; give a larger photo")
+    return pixels

@@ -1,0 +1,341 @@
+"""Writing a video with its sound as the frames come (mp4, H.264 and AAC).
+
+Encoding of a video beside the work that makes its frames.
+"""
+
+import contextlib
+import itertools
+import queue
+import threading
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+
+import av
+import av.error
+import numpy as np
+import soxr
+from av.audio.frame import AudioFrame
+from av.audio.stream import AudioStream
+from av.video.frame import VideoFrame
+from av.video.reformatter import VideoReformatter
+
+from data_prep.media.audio import open_recording
+from data_prep.rates import FPS
+
+_AAC_RATES = (8000, 11025, 12000, 16000, 22050, 24000, 32000, 44100, 48000, 64000, 88200, 96000)
+
+
+_AAC_BITS = 6144
+"""Most bits that one AAC frame may take for a channel (ISO/IEC 14496-3)."""
+
+
+_AAC_FRAME = 1024
+
+
+_AAC_BIT_RATE = 192_000
+
+
+_BLOCK = 16384
+
+
+_PRESET = "veryfast"
+"""Of x264: about 200 frames of 256x256 a second on one core, at half the size of "superfast"."""
+
+
+_BT709 = 1
+
+
+_LIMITED_RANGE = 1
+
+
+_TAGS = {
+    "colorspace": "bt709",
+    "color_primaries": "bt709",
+    "color_trc": "bt709",
+    "color_range": "tv",
+}
+
+
+class VideoWriter:
+    """Writes an mp4 frame by frame: H.264 yuv420p, AAC, faststart; a context manager.
+
+    The recording is decoded and encoded while the frames come, at its own rate, and whole:
+    from its first sample at time 0 to its last. Frame k is shown from k / fps; for a picture
+    that ends with its sound, write `ceil(seconds * fps)` frames.
+
+    The file appears at exactly `path`; wrap it in `data_prep.files.whole_file` so that a
+    failure leaves nothing behind.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        size: tuple[int, int],
+        fps: int = FPS,
+        sound: Path | tuple[np.ndarray, int] | None = None,
+        comment: str = "",
+        crf: int = 18,
+        threads: int = 0,
+        origin: float | None = None,
+        fit: bool = False,
+    ) -> None:
+        """Open the file.
+
+        Args:
+            path: the mp4 to write.
+            size: width and height in pixels, both even.
+            fps: frames a second.
+            sound: a recording (or a video, for its sound); or samples `(N,)` or `(N, 2)` float
+                in [-1, 1] and their rate; or None for a silent video.
+            comment: metadata of the file; marks generated video as such.
+            crf: x264's quality, lower is better; 18 is visually without loss.
+            threads: of the picture's encoder, 0 for as many as it likes.
+            origin: presentation time in the recording's file that time 0 of this video has (the
+                start of that file's pictures, for sound in step with them); None for the
+                sound's own first sample.
+            fit: end the sound with the picture: cut, or followed by silence. `cut` tells then.
+
+        Raises:
+            BadInput: the recording cannot be read (see `read_sound`).
+            ValueError: an odd size.
+        """
+        width, height = size
+        if width % 2 or height % 2 or min(size) < 2:
+            raise ValueError(f"size {size} must be even for yuv420p")
+        self._shape = (height, width, 3)
+        self._fps = fps
+        self._count = 0
+        self._fit = fit
+        self._rest: np.ndarray | None = None
+        self.cut = False
+        self._reformatter = VideoReformatter()
+        self._open = contextlib.ExitStack()
+        try:
+            rate, channels, self._blocks = self._open_sound(sound, origin)
+            options = {"movflags": "+faststart"}
+            self._container = av.open(str(path), mode="w", format="mp4", options=options)
+            self._open.callback(self._container.close)
+            if comment:
+                self._container.metadata["comment"] = comment
+            self._video = self._container.add_stream(
+                "libx264", rate=fps, options={"crf": str(crf), "preset": _PRESET, **_TAGS}
+            )
+            self._video.width, self._video.height = width, height
+            self._video.pix_fmt = "yuv420p"
+            self._video.codec_context.thread_count = threads
+            self._audio = self._add_audio(rate, channels) if rate else None
+        except BaseException:
+            self._open.close()
+            raise
+        self._samples = 0
+
+    def _open_sound(
+        self, sound: Path | tuple[np.ndarray, int] | None, origin: float | None
+    ) -> tuple[int, int, Iterator[np.ndarray]]:
+        """Rate that AAC can carry, channels, and the blocks `(channels, n)` at that rate."""
+        if sound is None:
+            return 0, 0, iter(())
+        if isinstance(sound, tuple):
+            samples, rate = sound
+            channels = 1 if samples.ndim == 1 else samples.shape[1]
+            if channels > 2:
+                raise ValueError(f"samples {samples.shape} must be (N,) or (N, 2)")
+            blocks = _split(np.asarray(samples, np.float32).reshape(-1, channels).T)
+        else:
+            recording = self._open.enter_context(open_recording(Path(sound)))
+            rate, channels, blocks = recording.rate, recording.channels, recording.blocks()
+            lead = 0 if origin is None else round((recording.start - origin) * rate)
+            blocks = _led(blocks, lead, channels)
+        target = min((r for r in _AAC_RATES if r >= rate), default=_AAC_RATES[-1])
+        return target, channels, blocks if target == rate else _resampled(blocks, rate, target)
+
+    def _add_audio(self, rate: int, channels: int) -> AudioStream:
+        stream = self._container.add_stream(
+            "aac", rate=rate, layout="mono" if channels == 1 else "stereo"
+        )
+        most = _AAC_BITS * channels * rate // _AAC_FRAME
+        stream.codec_context.bit_rate = min(_AAC_BIT_RATE, int(0.9 * most))
+        return stream
+
+    def write(self, frame: np.ndarray) -> None:
+        """Append one frame `(H, W, 3)` uint8 RGB, and the sound up to its end.
+
+        Raises:
+            ValueError: wrong shape or dtype.
+        """
+        if frame.shape != self._shape or frame.dtype != np.uint8:
+            raise ValueError(f"frame {frame.shape} {frame.dtype} is not {self._shape} uint8")
+        picture = self._reformatter.reformat(
+            VideoFrame.from_ndarray(np.ascontiguousarray(frame), "rgb24"),
+            format="yuv420p",
+            dst_colorspace=_BT709,
+            dst_color_range=_LIMITED_RANGE,
+        )
+        picture.pts = self._count
+        picture.time_base = Fraction(1, self._fps)
+        self._container.mux(self._video.encode(picture))
+        self._count += 1
+        if self._audio is not None:
+            while self._samples * self._fps < self._count * self._audio.rate:
+                if not self._write_sound():
+                    break
+
+    def _write_sound(self) -> bool:
+        """Encode the next block; False when the recording is over."""
+        block = self._next_block()
+        if block is None or self._audio is None:
+            return False
+        self._encode_sound(block)
+        return True
+
+    def _next_block(self) -> np.ndarray | None:
+        """Samples that come next; where the sound has to fit, no more than the picture lasts."""
+        block, self._rest = self._rest, None
+        if block is None:
+            block = next((block for block in self._blocks if block.shape[1]), None)
+        if block is not None and self._fit and self._audio is not None:
+            room = -(-self._count * self._audio.rate // self._fps) - self._samples
+            if block.shape[1] > room:
+                block, self._rest = block[:, :room], block[:, room:]
+        return block
+
+    def _encode_sound(self, block: np.ndarray) -> None:
+        assert self._audio is not None
+        sound = np.ascontiguousarray(np.clip(np.nan_to_num(block), -1.0, 1.0), np.float32)
+        layout = "mono" if len(sound) == 1 else "stereo"
+        frame = AudioFrame.from_ndarray(sound, "fltp", layout)
+        frame.sample_rate = self._audio.rate
+        frame.pts = self._samples
+        frame.time_base = Fraction(1, self._audio.rate)
+        self._samples += sound.shape[1]
+        self._container.mux(self._audio.encode(frame))
+
+    def _end_sound(self) -> None:
+        """Write what is left of the sound; where it has to fit, silence up to the picture's end."""
+        if not self._fit:
+            while self._write_sound():
+                pass
+        elif self._audio is not None:
+            left = itertools.islice((b for b in self._blocks if b.shape[1]), 1)
+            self.cut = self._rest is not None or any(True for _ in left)
+            missing = -(-self._count * self._audio.rate // self._fps) - self._samples
+            channels = len(self._audio.layout.channels)
+            for first in range(0, missing, _BLOCK):
+                silence = np.zeros((channels, min(_BLOCK, missing - first)), np.float32)
+                self._encode_sound(silence)
+
+    def close(self) -> None:
+        """Write what is left of the sound and finish the file."""
+        with self._open:
+            self._end_sound()
+            self._container.mux(self._video.encode(None))
+            if self._audio is not None:
+                self._container.mux(self._audio.encode(None))
+
+    def __enter__(self) -> "VideoWriter":
+        """Return the writer itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Finish the file; after an error only let go of it."""
+        if kind is None:
+            self.close()
+            return
+        # The error under way is the one to tell, not a second one from the unfinished file.
+        with contextlib.suppress(av.error.FFmpegError):
+            self._open.close()
+
+
+def _led(blocks: Iterator[np.ndarray], lead: int, channels: int) -> Iterator[np.ndarray]:
+    """The same sound after `lead` samples of silence, or without its first `-lead` samples."""
+    if lead > 0:
+        yield from _split(np.zeros((channels, lead), np.float32))
+    skip = max(-lead, 0)
+    for block in blocks:
+        yield block[:, skip:]
+        skip -= min(skip, block.shape[1])
+
+
+def _split(samples: np.ndarray) -> Iterator[np.ndarray]:
+    for start in range(0, samples.shape[1], _BLOCK):
+        yield samples[:, start : start + _BLOCK]
+
+
+def _resampled(blocks: Iterator[np.ndarray], rate: int, target: int) -> Iterator[np.ndarray]:
+    """The same sound at another rate, band-limited, neither shifted nor cut."""
+    converter = None
+    for block in blocks:
+        if converter is None:
+            converter = soxr.ResampleStream(rate, target, len(block), dtype="float32")
+        yield converter.resample_chunk(np.ascontiguousarray(block.T)).reshape(-1, len(block)).T
+        channels = len(block)
+    if converter is not None:
+        tail = converter.resample_chunk(np.zeros((0, channels), np.float32), last=True)
+        yield tail.reshape(-1, channels).T
+
+
+class WriteThread:
+    """Hands frames to a `VideoWriter` in a thread of its own; a context manager.
+
+    At most `held` batches wait, so that memory is bounded and a slow encoder slows the caller.
+    FFmpeg lets Python go on while it converts and encodes. Leave this block before the writer's.
+
+    Args:
+        video: an open writer, used by nobody else meanwhile.
+        held: most batches that wait.
+    """
+
+    def __init__(self, video: VideoWriter, held: int = 4) -> None:
+        self._video = video
+        self._waiting: queue.Queue[np.ndarray | None] = queue.Queue(held)
+        self._error: BaseException | None = None
+        self._stopped = False
+        self._thread = threading.Thread(target=self._run, name="encoder", daemon=True)
+
+    def write(self, frames: np.ndarray) -> None:
+        """Append frames `(b, H, W, 3)` uint8 RGB, which must not be changed afterwards.
+
+        Raises:
+            BadInput: what the writer raised for earlier frames, such as damaged sound.
+        """
+        self._raise()
+        self._waiting.put(frames)
+
+    def _run(self) -> None:
+        while (frames := self._waiting.get()) is not None:
+            if self._error is not None or self._stopped:
+                continue  # let a caller that waits for room go on to its own end
+            try:
+                for frame in frames:
+                    self._video.write(frame)
+            except BaseException as error:  # told to the caller, whose error it is
+                self._error = error
+
+    def _raise(self) -> None:
+        if self._error is not None:
+            raise self._error
+
+    def __enter__(self) -> "WriteThread":
+        """Start the thread."""
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Wait until all is written; after an error only for the frame under way."""
+        self._stopped = kind is not None
+        self._waiting.put(None)
+        self._thread.join()
+        if kind is None:
+            self._raise()

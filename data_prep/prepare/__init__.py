@@ -1,0 +1,1 @@
+"""From any videos of a speaker to a dataset."""

@@ -1,0 +1,1 @@
+"""Where the speaker is: faces, tracks, the square around the upper body."""

@@ -1,0 +1,1 @@
+"""Speech: features, words, transcripts, synchrony."""

@@ -1,0 +1,1 @@
+"""The fast render session: folded networks and compiled kernels."""

@@ -1,0 +1,118 @@
+"""Convolutions by Winograd's minimal filtering: 4 or 2.25 products a pixel in place of 9.
+
+Lavin and Gray, "Fast Algorithms for Convolutional Neural Networks" (CVPR 2016): a tile of
+m x m outputs of a kernel of r x r is `A^T [(G g G^T) * (B^T d B)] A`; the products in the middle,
+over all tiles and channels, are (m + r - 1)^2 matrix products, which oneDNN does near the
+hardware's peak. F(4, 3) keeps float32 to about 1e-6, F(2, 3) loses little in bfloat16; F(3, 2),
+for the 2x2 kernels before a doubling, has the tiles of F(2, 3) and 1.8 products in place of 4.
+
+The transforms are `mraa.fast.winograd_kernel`.
+"""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mraa.fast.folding import Kernel
+from mraa.fast.winograd_kernel import LANES, restore, transform4, transform6
+
+TILES = {torch.float32: 128, torch.bfloat16: 256}
+"""Tiles transformed and multiplied at once, which then are still in the processor's cache."""
+
+_G2 = ((1, 0, 0), (1 / 2, 1 / 2, 1 / 2), (1 / 2, -1 / 2, 1 / 2), (0, 0, 1))
+_G4 = (
+    (1 / 4, 0, 0),
+    (-1 / 6, -1 / 6, -1 / 6),
+    (-1 / 6, 1 / 6, -1 / 6),
+    (1 / 24, 1 / 12, 1 / 6),
+    (1 / 24, -1 / 12, 1 / 6),
+    (0, 0, 1),
+)
+_G3 = ((1, 0), (1 / 2, 1 / 2), (1 / 2, -1 / 2), (0, 1))
+_KERNEL = {2: _G2, 3: _G3, 4: _G4}
+
+
+def fits(kernel: Kernel, shape: tuple[int, int, int, int]) -> bool:
+    """Whether a convolution of `shape` (B, C, H, W) is done faster this way than directly."""
+    outputs, inputs, size = kernel.weight.shape[:3]
+    _, _, height, width = shape
+    lanes = inputs % LANES == 0 and outputs % LANES == 0
+    large = min(inputs, outputs) >= 64 and height * width >= 256
+    return lanes and large and (size == 2 or (size == 3 and height % 4 == width % 4 == 0))
+
+
+def transformed_kernel(weight: Tensor, m: int) -> Tensor:
+    """`G g G^T` of (O, C, r, r) as matrices ((m + r - 1)^2, C, O), float32."""
+    g = torch.tensor(_KERNEL[m], dtype=torch.float64)
+    parts = torch.einsum("ik,ockl,jl->ijco", g, weight.double(), g)
+    return parts.flatten(0, 1).float().contiguous()
+
+
+class Winograd:
+    """A 3x3 or 2x2 convolution with a padding of 1, and what lies before and behind it.
+
+    Args:
+        kernel: (O, C, r, r), channels in multiples of 16.
+        dtype: float32 or bfloat16, of input, output and matrix products.
+        relu: whether negative results become 0.
+        line: scale and shift (C,) of a line before a ReLU before the convolution.
+    """
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        *,
+        dtype: torch.dtype = torch.float32,
+        relu: bool = True,
+        line: tuple[Tensor, Tensor] | None = None,
+    ) -> None:
+        self.size = kernel.weight.shape[-1]
+        self.m = 3 if self.size == 2 else 4 if dtype == torch.float32 else 2
+        self.dtype = dtype
+        self.matrices = transformed_kernel(kernel.weight, self.m).to(dtype)
+        self.bias = kernel.bias.numpy()
+        self.floor = np.float32(0.0 if relu else -np.inf)
+        none = torch.empty(0)
+        scale, shift = (none, none) if line is None else line
+        self.scale, self.shift = scale.float().numpy(), shift.float().numpy()
+
+    def __call__(self, x: Tensor, residual: Tensor | None = None) -> Tensor:
+        """Convolve, channels last; `residual` is added before the ReLU.
+
+        Args:
+            x: (B, C, H, W); for 3x3 kernels H and W are multiples of 4.
+            residual: (B, O, H, W), for 3x3 kernels alone.
+
+        Returns:
+            (B, O, H, W); of a 2x2 kernel (B, O, H', W'), where H' >= H + 1 and W' >= W + 1 are
+            the next multiples of 3 and what lies beyond H + 1 and W + 1 means nothing.
+        """
+        count, channels, height, width = x.shape
+        many, _, outputs = self.matrices.shape
+        edge = 1 if self.size == 2 else 0
+        grid = (-(-(height + edge) // self.m), -(-(width + edge) // self.m))
+        out = torch.empty(
+            (count, outputs, grid[0] * self.m, grid[1] * self.m),
+            dtype=self.dtype,
+            memory_format=torch.channels_last,
+        )
+        tiles = count * grid[0] * grid[1]
+        size = min(TILES[self.dtype], tiles)
+        inputs = torch.empty((many, size, channels), dtype=self.dtype)
+        products = torch.empty((many, size, outputs), dtype=self.dtype)
+        source, target = _array(x, last=True), _array(out, last=True)
+        kept = target[:0] if residual is None else _array(residual, last=True)
+        before, after = _array(inputs), _array(products)
+        transform = transform6 if many == 36 else transform4
+        for first in range(0, tiles, size):
+            part = min(size, tiles - first)
+            transform(source, self.scale, self.shift, self.m, grid, first, part, before)
+            torch.bmm(inputs, self.matrices, out=products)
+            restore(after, self.bias, self.floor, kept, first, part, self.m, target)
+        return out
+
+
+def _array(x: Tensor, last: bool = False) -> np.ndarray:
+    """The memory of a tensor, bfloat16 as bits; (B, C, H, W), channels last, as (B, H, W, C)."""
+    x = x.view(torch.uint16) if x.dtype == torch.bfloat16 else x
+    return x.permute(0, 2, 3, 1).numpy() if last else x.numpy()

@@ -1,0 +1,1 @@
+"""Training of the renderer, and what every training stage shares."""

@@ -1,0 +1,138 @@
+"""Training pairs: two frames of one clip, augmented alike (MRAA, section 4)."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from data_prep.dataset import Clip, Dataset
+from data_prep.rates import IMAGE_SIZE
+from mraa.losses import PLATE_NUMBERS
+
+
+@dataclass(frozen=True)
+class Augmentation:
+    """What is random about a pair besides which frames it holds; the defaults are MRAA's."""
+
+    time_flip: float = 0.5
+    """Probability of exchanging source and driving."""
+    horizontal_flip: float = 0.5
+    """Probability of mirroring both."""
+    brightness: float = 0.1
+    contrast: float = 0.1
+    saturation: float = 0.1
+    hue: float = 0.1
+    """Largest relative change, and fraction of the colour circle for the hue."""
+    zoom: float = 0.0
+    """Not in the paper: cut both frames out alike, up to this fraction smaller, at a random
+    place, so that other framings of a person are met in training."""
+
+    def __post_init__(self) -> None:
+        colours = (self.brightness, self.contrast, self.saturation, self.hue)
+        if not all(0 <= change <= 1 for change in colours):
+            raise ValueError("augmentation: changes of colour lie in [0, 1]")
+        if not (0 <= self.time_flip <= 1 and 0 <= self.horizontal_flip <= 1):
+            raise ValueError("augmentation: flips are probabilities in [0, 1]")
+
+
+class TrainingPair(NamedTuple):
+    """A pair of frames and what else is random about it; a batch of them has B in front."""
+
+    frames: Tensor
+    """(2, size, size, 3) uint8, source first."""
+    plate: Tensor
+    """(31,) float32 standard normal, for `mraa.losses.thin_plate`."""
+
+
+class FramePairs:
+    """Random pairs (source, driving) of frames of one clip, in order of time.
+
+    Args:
+        dataset: where the clips are.
+        clips: those to draw from; an epoch meets each once.
+        augmentation: applied to both frames alike.
+        size: of the pairs in pixels, if smaller than the frames.
+        gap: largest distance of the two frames, 0 for any (as in MRAA).
+    """
+
+    def __init__(
+        self,
+        dataset: Dataset,
+        clips: list[Clip],
+        augmentation: Augmentation,
+        size: int = IMAGE_SIZE,
+        gap: int = 0,
+    ) -> None:
+        self.dataset, self.clips, self.augmentation = dataset, clips, augmentation
+        self.size, self.gap = size, gap
+
+    def __len__(self) -> int:
+        """Number of clips."""
+        return len(self.clips)
+
+    def draw(self, index: int, random: np.random.Generator) -> TrainingPair:
+        """A pair of clip `index`."""
+        store = self.dataset.frames(self.clips[index])
+        first = int(random.integers(len(store)))
+        low = max(0, first - self.gap) if self.gap else 0
+        high = min(len(store), first + self.gap + 1) if self.gap else len(store)
+        others = [i for i in range(low, high) if i != first] or [first]
+        first, second = sorted((first, int(random.choice(others))))
+        frames = [store[first], store[second]]
+        if self.size < IMAGE_SIZE:
+            small = (self.size, self.size)
+            frames = [cv2.resize(f, small, interpolation=cv2.INTER_AREA) for f in frames]
+        pair = torch.from_numpy(augment(np.stack(frames), self.augmentation, random))
+        plate = torch.from_numpy(random.standard_normal(PLATE_NUMBERS, dtype=np.float32))
+        return TrainingPair(pair, plate)
+
+
+def augment(pair: np.ndarray, how: Augmentation, random: np.random.Generator) -> np.ndarray:
+    """Flip and jitter frames (2, H, W, 3) uint8 alike."""
+    if random.random() < how.time_flip:
+        pair = pair[::-1]
+    if random.random() < how.horizontal_flip:
+        pair = pair[:, :, ::-1]
+    if how.zoom:
+        pair = _zoom(pair, 1 - how.zoom * random.random(), random)
+    return np.ascontiguousarray(_jitter(pair, how, random))
+
+
+def _zoom(pair: np.ndarray, part: float, random: np.random.Generator) -> np.ndarray:
+    size = pair.shape[1]
+    side = round(part * size)
+    x, y = random.integers(0, size - side + 1, size=2)
+    cut = np.ascontiguousarray(pair[:, y : y + side, x : x + side])
+    return np.stack([cv2.resize(f, (size, size), interpolation=cv2.INTER_LINEAR) for f in cut])
+
+
+def _jitter(pair: np.ndarray, how: Augmentation, random: np.random.Generator) -> np.ndarray:
+    """Brightness, contrast, saturation and hue in random order, on float32 in [0, 1]."""
+    image: np.ndarray = (
+        pair.reshape(-1, pair.shape[2], 3).astype(np.float32) / 255
+    )  # frames stacked in y
+
+    def factor(amount: float) -> np.float32:
+        return np.float32(random.uniform(1 - amount, 1 + amount))
+
+    brightness, contrast, saturation = map(factor, (how.brightness, how.contrast, how.saturation))
+    turn = 360 * random.uniform(-how.hue, how.hue)
+    for kind in random.permutation(4):
+        if kind == 0:
+            image = image * brightness
+        elif kind == 1:
+            image = image * contrast + cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).mean() * (
+                1 - contrast
+            )
+        elif kind == 2:
+            grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None]
+            image = image * saturation + grey * (1 - saturation)
+        elif how.hue:
+            hsv = cv2.cvtColor(image, cv2.COLOR_RGB2HSV)
+            hsv[..., 0] = (hsv[..., 0] + turn) % 360
+            image = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)
+        image = np.clip(image, 0, 1).astype(np.float32)
+    return np.round(image * 255).astype(np.uint8).reshape(pair.shape)

@@ -1,0 +1,213 @@
+"""Training of the renderer: reconstruct one frame of a clip from another (MRAA, section 3.5).
+
+Weights to begin with: of a file, or of a training on smaller images.
+"""
+
+import copy
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import nn
+
+from data_prep.dataset import Dataset
+from data_prep.errors import BadInput
+from data_prep.rates import IMAGE_SIZE
+from mraa.blocks import AntiAliasDown
+from mraa.perceptual import PerceptualPyramid
+from mraa.regions import RegionEstimator
+from mraa.renderer import Renderer, RendererConfig
+from mraa.training.curves import sample_sheet, write_sheet
+from mraa.training.objective import Objective, RendererTraining, images
+from mraa.training.pairs import FramePairs
+from mraa.training.run import Run, RunConfig
+
+
+def reduced(config: RendererConfig, size: int) -> RendererConfig:
+    """The renderer for images of `size` pixels whose hourglasses work at the same resolution."""
+    factor = IMAGE_SIZE / size
+    scales = ("estimator_scale", "flow_scale", "background_scale")
+    changed = {name: min(1.0, getattr(config, name) * factor) for name in scales}
+    return dataclasses.replace(config, **changed)
+
+
+def load_initial(renderer: Renderer, path: Path) -> None:
+    """Load weights from a safetensors file.
+
+    Raises:
+        BadInput: missing, unreadable, or of other sizes.
+    """
+    try:
+        given = load_file(path)
+    except (OSError, SafetensorError) as error:
+        reason = str(error).splitlines()[0]
+        raise BadInput(f"{path}: not the weights of a renderer ({reason})") from error
+    wanted = renderer.state_dict()
+    for name, value in wanted.items():
+        if name not in given:
+            raise BadInput(f"{path}: not the weights of such a renderer (it has no {name})")
+        if given[name].shape != value.shape:
+            there, here = ("x".join(map(str, x.shape)) for x in (given[name], value))
+            raise BadInput(f"{path}: {name} is {there} there and {here} here; give the same sizes")
+    if len(given) > len(wanted):
+        other = min(given.keys() - wanted.keys())
+        raise BadInput(f"{path}: not the weights of such a renderer ({other} has no place)")
+    renderer.load_state_dict({k: v.to(wanted[k].dtype) for k, v in given.items()})
+
+
+def take_weights(renderer: Renderer, taught: Renderer) -> None:
+    """Copy all weights but the low-pass kernels, which depend on the image size."""
+    kept = {k: v for k, v in renderer.state_dict().items() if k.endswith("down.kernel")}
+    given = {k: v for k, v in taught.state_dict().items() if not k.endswith("down.kernel")}
+    renderer.load_state_dict({**kept, **given})
+
+
+def reduced_estimator(estimator: RegionEstimator, size: int) -> RegionEstimator:
+    """The same estimator for images of `size` pixels; its hourglass sees them as before."""
+    smaller = copy.deepcopy(estimator)
+    smaller.down = AntiAliasDown(3, min(1.0, IMAGE_SIZE / size / estimator.down.step))
+    return smaller
+
+
+def train_renderer(
+    dataset: Dataset,
+    config: RendererConfig,
+    training: RendererTraining,
+    folder: Path,
+    *,
+    seed: int = 0,
+    run_config: RunConfig | None = None,
+    resume: bool = False,
+    teacher: RegionEstimator | None = None,
+) -> Renderer:
+    """Train a renderer on the training clips of a dataset.
+
+    Args:
+        dataset: clips of one or several speakers.
+        config: architecture.
+        training: losses, schedule, augmentation.
+        folder: for checkpoint, curves and sample sheets.
+        seed: of weights, pairs, augmentation and transforms.
+        run_config: device, precision and so on.
+        resume: go on from the checkpoint in `folder`.
+        teacher: trained region estimator to follow, with `training.distill_weight`.
+
+    Returns:
+        The renderer in eval mode on the CPU.
+    """
+    clips = dataset.clips("train")
+    steps = training.steps or max(
+        1, training.epochs * training.repeats * len(clips) // training.batch
+    )
+    torch.manual_seed(seed)
+    renderer = Renderer(config)
+    if training.initial:
+        load_initial(renderer, Path(training.initial))
+    how: dict[str, Any] = {"seed": seed, "run_config": run_config, "resume": resume}
+    if training.warmup_steps:
+        size = training.warmup_size
+        small = RendererStage("warmup", training.warmup_steps, size, (), True, training.warmup_gap)
+        taught = Renderer(reduced(config, size))
+        take_weights(taught, renderer)
+        smaller = None if teacher is None else reduced_estimator(teacher, size)
+        _train(dataset, taught, training, folder, small, teacher=smaller, **how)
+        take_weights(renderer, taught)
+    milestones = tuple(round(part * steps) for part in training.milestones)
+    full = RendererStage("renderer", steps, IMAGE_SIZE, milestones)
+    _train(dataset, renderer, training, folder, full, teacher=teacher, **how)
+    return renderer.cpu().eval()
+
+
+@dataclass(frozen=True)
+class RendererStage:
+    """One course of training.
+
+    Attributes:
+        name: of its checkpoint and curves.
+        steps: of the optimiser.
+        size: of the images in pixels.
+        milestones: steps at which the rate falls.
+        motion_alone: compare the blend of deformed sources; the generator rests.
+        gap: largest distance in frames of a pair, 0 for any.
+    """
+
+    name: str
+    steps: int
+    size: int
+    milestones: tuple[int, ...]
+    motion_alone: bool = False
+    gap: int = 0
+
+
+def _train(
+    dataset: Dataset,
+    renderer: Renderer,
+    training: RendererTraining,
+    folder: Path,
+    stage: RendererStage,
+    *,
+    seed: int,
+    run_config: RunConfig | None,
+    resume: bool,
+    teacher: RegionEstimator | None,
+) -> None:
+    """One course of training; `renderer` is left with the weights to publish."""
+    run = Run(
+        folder,
+        stage.name,
+        steps=stage.steps,
+        seed=seed,
+        config=run_config,
+        resume=resume,
+        resting=stage.motion_alone or training.freeze_estimator,
+    )
+    renderer.to(memory_format=torch.channels_last)
+    compare = perceptual_loss(training).to(run.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    if teacher is not None:
+        teacher = teacher.to(run.device).eval().requires_grad_(False)
+    whole = Objective(renderer, training, compare, teacher, stage.motion_alone)
+    objective, optimizer = run.setup(whole, adam(renderer, training, fused=not run.scaled))
+    clips = dataset.clips("train")
+    pairs = FramePairs(dataset, clips, training.augmentation, stage.size, stage.gap)
+    batches = run.batches(pairs, training.batch, training.accumulate)
+    for step in run.steps():
+        run.rate(optimizer, training.rate, stage.milestones)
+        for _ in run.parts(objective, training.accumulate):
+            pair = next(batches)
+            terms = objective(pair.frames, pair.plate)
+            error = terms.pop("l1")
+            loss = torch.stack(list(terms.values())).sum()
+            run.backward(loss / training.accumulate)
+            run.log(loss=loss, **terms, l1=error)
+        run.clip(objective, optimizer, training.clip)
+        optimizer.step()
+        optimizer.zero_grad()
+        if whole.average is not None:
+            whole.average.update(renderer)
+        last = step + 1 == stage.steps
+        if run.fabric.global_rank == 0 and (step % training.sheet_every == 0 or last):
+            sheet = sample_sheet(whole.best, *images(pair.frames))
+            write_sheet(folder / "sheets" / f"{stage.name}-{step:07d}.png", sheet)
+            run.curves.image("samples", sheet, step)
+    renderer.load_state_dict(whole.best.state_dict())
+
+
+def adam(model: nn.Module, training: RendererTraining, *, fused: bool = True) -> torch.optim.Adam:
+    """The optimiser; `fused` takes one pass over memory in place of ten, but no loss scale."""
+    parameters = model.parameters()
+    return torch.optim.Adam(parameters, lr=training.rate, betas=training.betas, fused=fused)
+
+
+def perceptual_loss(training: RendererTraining) -> PerceptualPyramid:
+    """The perceptual loss that the settings name."""
+    return PerceptualPyramid(
+        training.backend,
+        training.perceptual_weights,
+        training.perceptual_width,
+        training.perceptual_scales,
+        training.perceptual,
+    )

@@ -1,0 +1,243 @@
+"""The ablations: variants trained on one renderer, scored, in a table."""
+
+import json
+import shutil
+import sys
+from functools import partial
+
+import pytest
+import torch
+
+from angie.bundle import BUNDLE, Bundle
+from angie.cli import main
+from angie.config import parse_overrides, preset
+from angie.evaluation.ablation import (
+    COLUMNS,
+    VARIANTS,
+    _copy_motion,
+    ablate,
+    broken_share,
+    settings_of,
+    table,
+)
+from angie.evaluation.networks import EvaluationConfig
+from angie.generators.angie.direct import DirectMotion
+from data_prep.errors import BadInput
+from mraa.training.run import RunConfig
+
+FEW_SETTINGS = [
+    "train_vq.schedule.most_steps=4",
+    "train_gpt.schedule.most_steps=4",
+    "train_refiner.schedule.most_steps=4",
+]
+FEW = parse_overrides(FEW_SETTINGS)
+SCORING = EvaluationConfig(images=False, videos_shown=0, fgd_steps=5)
+CPU = RunConfig(device="cpu")
+
+
+def run(dataset, bundle, output, variants):
+    return ablate(
+        dataset.path,
+        bundle.folder,
+        output,
+        variants=variants,
+        changes=FEW,
+        config=SCORING,
+        run=CPU,
+    )
+
+
+@pytest.fixture(scope="module")
+def made(dataset, bundle, tmp_path_factory):
+    output = tmp_path_factory.mktemp("ablation") / "out"
+    return output, run(dataset, bundle, output, ["no_quant", "no_cholesky", "no_refine"])
+
+
+def test_every_variant_is_a_bundle_on_one_renderer(made, bundle):
+    output, _ = made
+    bundles = {path.name: Bundle.open(path) for path in output.iterdir() if path.name[:2] == "no"}
+    assert set(bundles) == {"no_quant", "no_cholesky", "no_refine"}
+    assert {one.hash_of("renderer") for one in bundles.values()} == {bundle.hash_of("renderer")}
+    direct = bundles["no_quant"].generator()
+    assert isinstance(direct.vq, DirectMotion) and direct.gpt is None
+    assert bundles["no_quant"].parts == ["renderer", "statistics", "vq", "refiner", "avd"]
+    assert bundles["no_cholesky"].generator().channels.covariance
+    plain, full = bundles["no_refine"], Bundle.open(output / "full")
+    assert not plain.preset.generation.refine and full.preset.generation.refine
+    assert all(plain.hash_of(part) == full.hash_of(part) for part in ("vq", "gpt", "refiner"))
+
+
+def test_the_table_has_a_row_for_each_and_those_of_reference(made):
+    output, text = made
+    rows = [line.split("|")[1].strip() for line in text.splitlines()[2:]]
+    assert rows[-3:] == ["no_quant", "no_cholesky", "no_refine"] and "motionless" in rows
+    assert "FGD" in text.splitlines()[0] and (output / "table3.md").read_text() == text + "\n"
+    results = json.loads((output / "report" / "results.json").read_text())
+    scores = {row["name"]: row["scores"] for row in results["spaces"][0]["rows"]}
+    assert f"{scores['no_quant']['fgd']['mean']:.2f}" in text
+
+
+def test_a_repeated_run_goes_on_and_another_one_is_refused(made, dataset, bundle):
+    output, _ = made
+    before = {name: Bundle.open(output / name).manifest for name in ("no_quant", "full")}
+    run(dataset, bundle, output, ["no_quant"])
+    for name, manifest in before.items():
+        assert Bundle.open(output / name).manifest == manifest
+    with pytest.raises(BadInput, match="other settings"):
+        ablate(dataset.path, bundle.folder, output, variants=["full"], run=CPU)
+
+
+def command(monkeypatch, capsys, *arguments):
+    """Exit status, standard output and standard error of `angie ablate ARGUMENTS`."""
+    monkeypatch.setattr(sys, "argv", ["angie", "ablate", *map(str, arguments)])
+    status = 0
+    try:
+        main()
+    except SystemExit as leave:
+        status = leave.code
+    return status, *capsys.readouterr()
+
+
+def test_the_command_takes_a_stride_of_images_and_a_stored_auto_encoder(
+    made, dataset, bundle, tmp_path, monkeypatch, capsys
+):
+    output, _ = made
+    report = output / "report"
+    stored = shutil.copy(report / "fgd-0.safetensors", tmp_path / "stored.safetensors")
+    before = json.loads((report / "results.json").read_text())
+    choices = []
+
+    def unscored(judge, data, clips, drivers, joints, choice, advance):  # to draw takes a minute
+        choices.append((choice.stride, choice.seconds))
+        return {}
+
+    monkeypatch.setattr("angie.evaluation.evaluate.score_pictures", unscored)
+    quick = partial(EvaluationConfig, aed_steps=2)  # no option of the command
+    monkeypatch.setattr("angie.evaluation.networks.EvaluationConfig", quick)
+    status, out, _ = command(
+        monkeypatch, capsys, dataset.path, bundle.folder, *FEW_SETTINGS, "-o", output,
+        *("--variants", "no_quant", "--image-stride", 60, "--image-seconds", 4, "--fgd", stored),
+    )  # fmt: skip
+    after = json.loads((report / "results.json").read_text())
+    assert status == 0 and (report / "fgd-0.safetensors").read_bytes() == stored.read_bytes()
+    scores = [
+        next(row["scores"] for row in numbers["spaces"][0]["rows"] if row["name"] == "no_quant")
+        for numbers in (before, after)
+    ]
+    assert scores[0]["fgd"] == scores[1]["fgd"]
+    assert choices == [(60, 4.0)]
+    assert after["spaces"][0]["images"]["about"].startswith(
+        "Every 60th frame and the one after it in the first 4 s"
+    )
+    assert out.splitlines()[-2].startswith("| no_quant | ")
+
+
+def test_bad_strides_and_auto_encoders_are_told_before_anything_is_trained(
+    made, dataset, bundle, tmp_path, monkeypatch, capsys
+):
+    stored = made[0] / "report" / "fgd-0.safetensors"
+    text = tmp_path / "text"
+    text.write_text("no auto-encoder")
+    for source, options, words in (
+        (bundle.folder, ["--image-stride", 1], "--image-stride"),
+        (bundle.folder, ["--fgd", tmp_path / "none"], "no such file"),
+        (bundle.folder, ["--fgd", text], "text: is no auto-encoder"),
+        (BUNDLE, ["--fgd", stored], "regions of another renderer"),
+    ):
+        status, out, err = command(
+            monkeypatch, capsys, dataset.path, source, "-o", tmp_path / "out", *options
+        )
+        assert status == 2 and out == "" and words in err and err.count("\n") == 1, err
+    assert [path.name for path in tmp_path.iterdir()] == ["text"]
+
+
+def test_summed_covariances_break_and_factors_do_not(made, dataset):
+    output, _ = made
+    from angie.evaluation.space import open_space
+
+    variant, full = Bundle.open(output / "no_cholesky"), Bundle.open(output / "full")
+    clips = open_space(dataset, full, output / "scratch", "cpu").test
+    assert broken_share(full, clips) == 0
+    generator = variant.generator()
+    assert 0 <= broken_share(variant, clips) <= 1
+    wild = torch.randn(50, 5 * generator.statistics.regions) * 50
+    start = clips[0].motion[:1].vector()[0]
+    assert generator.channels.broken(wild, start).any()
+    assert not full.generator().channels.broken(wild, start).any()
+
+
+def test_bad_requests(dataset, bundle, tmp_path):
+    bare = Bundle.create(tmp_path / "bare", preset("tiny"))
+    with pytest.raises(BadInput, match="renderer"):
+        run(dataset, bare, tmp_path / "out", ["full"])
+    shutil.rmtree(bare.folder)
+    with pytest.raises(BadInput, match="there are no_quant"):
+        run(dataset, bundle, tmp_path / "out", ["half"])
+    torn = tmp_path / "torn"
+    torn.mkdir()
+    (torn / "ablation.json").write_text("{")
+    with pytest.raises(BadInput, match="torn: holds ablations of other settings"):
+        run(dataset, bundle, torn, ["full"])
+    shutil.rmtree(torn)
+    (tmp_path / "text").write_text("keep me")
+    with pytest.raises(BadInput, match="other files"):
+        run(dataset, bundle, tmp_path, ["full"])
+    assert [path.name for path in tmp_path.iterdir()] == ["text"]
+
+
+def test_weights_that_the_renderer_began_with_are_not_needed(dataset, tmp_path):
+    with pytest.raises(BadInput, match="other files"):  # and not: no such weights
+        (tmp_path / "text").touch()
+        ablate(dataset.path, BUNDLE, tmp_path, variants=["full"], run=CPU)
+
+
+def test_regions_are_measured_once_for_all_variants(tmp_path):
+    for name in ("mu_L", "full"):
+        (tmp_path / name).mkdir()
+    _copy_motion(tmp_path / "mu_L")  # the first one has to measure them
+    assert not (tmp_path / "mu_L" / "train").exists()
+    (tmp_path / "mu_L" / "train" / "motion").mkdir(parents=True)
+    (tmp_path / "mu_L" / "train" / "motion" / "a.npz").write_bytes(b"motion")
+    _copy_motion(tmp_path / "full")
+    assert (tmp_path / "full" / "train" / "motion" / "a.npz").read_bytes() == b"motion"
+    _copy_motion(tmp_path / "full")  # and is left alone
+
+
+def test_a_variant_is_one_setting():
+    base = preset("paper")
+    for name in VARIANTS:
+        made = settings_of(base, name)
+        assert (made.vq.quant, made.generation.refine) == (
+            ("full", False) if name == "no_refine" else (name, True)
+        )
+
+
+def test_the_table_of_hand_made_numbers():
+    def score(value):
+        return {"mean": value, "interval": None}
+
+    keys = COLUMNS
+    numbers = {
+        "definitions": [{"key": key, "title": key.upper(), "digits": 1} for key in keys],
+        "spaces": [
+            {
+                "rows": [
+                    {"name": name, "scores": {key: score(value) for key in keys[:3]}}
+                    for name, value in (("full", 1.0), ("other", None))
+                ],
+                "images": {
+                    "rows": [
+                        {"name": "full", "scores": {k: score(i) for i, k in enumerate(keys[3:])}},
+                        {"name": "other", "scores": {key: score(None) for key in keys[3:]}},
+                    ]
+                },
+            }
+        ],
+    }
+    assert table(numbers, {"full": 0.25}).splitlines() == [
+        "|  | FGD | BC | DIVERSITY_HA2G | L1 | PERCEPTUAL | AED | L1_DRAWN | PERCEPTUAL_DRAWN | "
+        "C broken |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        "| full | 1.0 | 1.0 | 1.0 | 0.0 | 1.0 | 2.0 | 3.0 | 4.0 | 25.0 % |",
+        "| other | - | - | - | - | - | - | - | - | - |",
+    ]

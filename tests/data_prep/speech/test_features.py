@@ -1,0 +1,161 @@
+"""Speech features: the stated columns in the stated order, and windows centred on their frames."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import soxr
+
+from data_prep.speech.features import mfcc_windows, onset_rows, onset_times, speech_features
+from data_prep.speech.spectrum import cepstra
+
+
+def bursts(seconds: float, every: float = 0.5, seed: int = 0) -> np.ndarray:
+    """Noise bursts of 80 ms at regular times, like syllables."""
+    t = np.arange(round(seconds * 16000)) / 16000
+    noise = np.random.default_rng(seed).standard_normal(len(t))
+    return (0.3 * noise * (t % every < 0.08)).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("samples", "frames", "tokens"),
+    [(1, 1, 1), (640, 1, 1), (641, 2, 1), (5120, 8, 1), (5121, 9, 2), (176000, 275, 35)],
+)
+def test_sizes_cover_the_sound(samples: int, frames: int, tokens: int) -> None:
+    features = speech_features(bursts(12)[:samples])
+    assert features.onset.shape == (tokens, 426)
+    assert features.mfcc.shape == (frames, 28, 12)
+    assert features.onset.dtype == features.mfcc.dtype == features.onset_times.dtype == np.float32
+    assert np.isfinite(features.onset).all() and np.isfinite(features.mfcc).all()
+
+
+def test_silence_is_finite_and_has_no_beats() -> None:
+    features = speech_features(np.zeros(48000, np.float32))
+    assert np.isfinite(features.onset).all() and np.isfinite(features.mfcc).all()
+    assert not features.onset[:, 40:42].any()
+    assert len(features.onset_times) == 0
+
+
+def test_onset_columns_are_in_the_stated_order() -> None:
+    rows = onset_rows(bursts(20))
+    assert rows.shape == (63, 426)
+    # Computed once with librosa 0.11: two MFCC and the last, two deltas, onset strength, beat,
+    # lags 0, 1, 3 and 18 of the tempogram.
+    columns = [0, 1, 19, 20, 39, 40, 41, 42, 43, 45, 60]
+    known = {
+        0: [-120.795, 12.302, 11.67, -3.041, 1.731, 0.0, 0, 1.0, 0.213, 0.553, 0.136],
+        3: [-131.117, 20.573, 22.109, -1.355, 0.352, 0.0, 0, 1.0, 0.212, 0.552, 0.136],
+        20: [-129.46, 17.463, 14.924, 5.801, 3.403, 0.0, 0, 1.0, 0.211, 0.548, 0.136],
+        40: [-131.871, 16.382, 9.886, 1.808, 5.167, 0.68, 1, 1.0, 0.209, 0.544, 0.136],
+        62: [-188.786, 4.53, 18.946, -34.774, 2.059, 0.0, 0, 1.0, 0.206, 0.538, 0.134],
+    }
+    for row, values in known.items():
+        np.testing.assert_allclose(rows[row, columns], values, atol=5e-3)
+    np.testing.assert_array_equal(np.flatnonzero(rows[:, 41]), np.arange(7, 60, 3))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seconds", "every"), [(20.0, 0.5), (37.3, 1.1), (4.0, 0.7), (90.0, 1.9)])
+@pytest.mark.filterwarnings("ignore:divide by zero")
+def test_onset_columns_are_those_of_librosa(seconds: float, every: float) -> None:
+    librosa = pytest.importorskip("librosa")
+    samples = bursts(seconds, every)
+    rows = onset_rows(samples)
+    slow = soxr.resample(samples, 16000, 1600)
+    mel = librosa.feature.melspectrogram(
+        y=slow, sr=1600, n_fft=2048, hop_length=512, n_mels=128, power=2.0
+    )
+    mfcc = librosa.feature.mfcc(S=librosa.power_to_db(mel, ref=np.max), n_mfcc=20)
+    percussive = librosa.effects.percussive(slow)
+    strength = librosa.onset.onset_strength(
+        y=percussive, sr=1600, hop_length=512, aggregate=np.median
+    )
+    tempogram = librosa.feature.tempogram(
+        onset_envelope=strength, sr=1600, hop_length=512, win_length=384
+    )
+    n = len(rows)
+    assert n == -(-len(samples) // 5120)
+    delta = librosa.feature.delta(mfcc, width=3)
+    beat = np.zeros(len(strength))
+    beat[librosa.beat.beat_track(onset_envelope=strength, sr=1600, hop_length=512)[1]] = 1
+    np.testing.assert_allclose(rows[:, :20], mfcc.T[:n], rtol=1e-4, atol=2e-3)
+    np.testing.assert_allclose(rows[:, 20:40], delta.T[:n], atol=2e-3)
+    np.testing.assert_allclose(rows[:, 40], strength[:n], rtol=1e-4, atol=1e-3)
+    np.testing.assert_array_equal(rows[:, 41], beat[:n])
+    assert rows[:, 41].any()
+    np.testing.assert_allclose(rows[:, 42:], tempogram.T[:n], atol=1e-3)
+
+
+@pytest.mark.slow
+def test_onset_times_are_those_of_librosa() -> None:
+    librosa = pytest.importorskip("librosa")
+    samples = bursts(12, 0.37) + 0.01 * bursts(12, 0.08, seed=1)
+    expected = librosa.onset.onset_detect(y=samples, sr=16000, units="time")
+    assert len(expected) > 20
+    np.testing.assert_allclose(onset_times(samples), expected, atol=1e-6)
+
+
+def test_features_do_not_load_librosa() -> None:
+    code = (
+        "import sys, numpy, data_prep.speech.features as f; f.speech_features(numpy.ones(9999)); "
+    )
+    code += "assert not {'librosa', 'numba', 'torch'} & set(sys.modules), sys.modules.keys()"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_short_sound_is_mirrored_to_what_the_recipe_needs() -> None:
+    short = bursts(0.6)
+    mirrored = np.pad(short, (0, 25600 - len(short)), mode="reflect")
+    np.testing.assert_array_equal(onset_rows(short), onset_rows(mirrored)[:2])
+
+
+def test_mfcc_window_is_centred_on_its_frame() -> None:
+    frame = 30
+    samples = np.zeros(64 * 640, np.float32)
+    samples[frame * 640 + 320] = 0.9
+    windows = mfcc_windows(samples)
+    # Away from the click every row is that of silence.
+    rows = np.abs(windows - windows[0, 0]).sum(axis=2) > 1e-3
+    assert set(np.flatnonzero(rows[frame])) <= {12, 13, 14, 15}
+    assert rows[frame].any()
+    assert set(np.flatnonzero(rows[frame + 1])) <= {8, 9, 10, 11}
+    assert set(np.flatnonzero(rows[frame - 3])) <= {24, 25, 26, 27}
+    assert rows[frame - 3].any() and not rows[frame - 4].any() and not rows[frame + 4].any()
+
+
+def test_windows_of_neighbouring_frames_share_rows() -> None:
+    windows = mfcc_windows(bursts(2))
+    np.testing.assert_array_equal(windows[1:, :24], windows[:-1, 4:])
+
+
+def test_cepstrum_of_a_click_by_hand() -> None:
+    # A single 1 at the start of a window: pre-emphasis makes it 1, -0.97, whose spectrum is
+    # |1 - 0.97 exp(-i w)|^2 / 512 = (1 + 0.97^2 - 1.94 cos w) / 512.
+    samples = np.zeros(400)
+    samples[0] = 1.0
+    power = (1 + 0.97**2 - 1.94 * np.cos(2 * np.pi * np.arange(257) / 512)) / 512
+    row = cepstra(samples, 1)[0]
+    assert row[0] == pytest.approx(np.log(power.sum()))
+    mel = 2595 * np.log10(1 + 8000 / 700)
+    edges = np.floor(513 * 700 * (10 ** (np.linspace(0, mel, 28) / 2595) - 1) / 16000).astype(int)
+    logs = []
+    for a, b, c in zip(edges, edges[1:], edges[2:], strict=False):
+        weight = [(k - a) / (b - a) for k in range(a, b)] + [(c - k) / (c - b) for k in range(b, c)]
+        logs.append(np.log(np.dot(weight, power[a:c])))
+    for k in (1, 5, 12):
+        basis = np.cos(np.pi * k * (2 * np.arange(26) + 1) / 52) * np.sqrt(2 / 26)
+        lift = 1 + 11 * np.sin(np.pi * k / 22)
+        assert row[k] == pytest.approx(lift * np.dot(basis, logs))
+
+
+def test_onset_times_are_where_the_bursts_are() -> None:
+    times = onset_times(bursts(4, every=1.0))
+    for burst in (1.0, 2.0, 3.0):
+        assert np.abs(times - burst).min() < 0.05
+
+
+def test_bad_shapes_are_refused() -> None:
+    for bad in (np.zeros(0, np.float32), np.zeros((100, 2), np.float32)):
+        with pytest.raises(ValueError, match="must be"):
+            speech_features(bad)

@@ -1,0 +1,173 @@
+import json
+
+import numpy as np
+import pytest
+import torch
+from lightning_fabric.plugins.precision import MixedPrecision
+from safetensors import safe_open
+from torch import nn
+
+from data_prep.errors import BadInput
+from mraa.training.checkpoint import load_checkpoint, save_checkpoint
+from mraa.training.run import Run, RunConfig, StepSampler
+
+
+class Numbers:
+    def __len__(self):
+        return 7
+
+    def draw(self, index, random):
+        return torch.tensor([index, random.random()], dtype=torch.float32)
+
+
+def work(folder, steps, resume=False, width=4, identity="", scaled=False):
+    """A few steps of a network whose dropout and data are random."""
+    config = RunConfig(device="cpu", log_every=1, identity=identity)
+    run = Run(folder, "toy", steps=steps, seed=3, resume=resume, config=config)
+    if scaled:  # what 16-bit training does on a GPU
+        scaler = torch.amp.GradScaler("cpu", init_scale=1024.0, growth_interval=3)
+        run.fabric.strategy.precision = MixedPrecision("16-mixed", "cpu", scaler)
+    torch.manual_seed(0)
+    model = nn.Sequential(nn.Linear(2, width), nn.BatchNorm1d(width), nn.Dropout(0.5))
+    model, optimizer = run.setup(model, torch.optim.Adam(model.parameters(), lr=0.1))
+    batches = run.batches(Numbers(), batch_size=4)
+    model.train()
+    seen, losses = [], []
+    for _ in run.steps():
+        run.rate(optimizer, 0.1, [6])
+        batch = next(batches)
+        loss = (model(batch) - batch.sum()).square().mean()
+        run.backward(loss)
+        optimizer.step()
+        optimizer.zero_grad()
+        run.log(loss=loss)
+        seen.append(batch.clone())
+        losses.append(loss.item())
+    return model.state_dict(), seen, losses
+
+
+@pytest.mark.parametrize("scaled", [False, True])
+def test_resumed_training_is_the_uninterrupted_one_bit_for_bit(tmp_path, scaled):
+    stop = int(torch.randint(1, 10, ()))
+    whole, seen, losses = work(tmp_path / "whole", 10, scaled=scaled)
+    work(tmp_path / "parts", stop, scaled=scaled)
+    resumed, rest, late = work(tmp_path / "parts", 10, resume=True, scaled=scaled)
+    assert losses[stop:] == late
+    assert all(torch.equal(a, b) for a, b in zip(seen[stop:], rest, strict=True))
+    assert whole.keys() == resumed.keys()
+    assert all(torch.equal(whole[k], resumed[k]) for k in whole)
+
+
+def test_without_resume_it_starts_anew(tmp_path):
+    _, _, first = work(tmp_path, 3)
+    _, _, again = work(tmp_path, 3)
+    assert first == again and len(again) == 3
+
+
+def test_an_epoch_meets_every_item_once(tmp_path):
+    _, seen, _ = work(tmp_path, 7)
+    items = np.concatenate([batch[:, 0].numpy() for batch in seen]).astype(int)
+    for epoch in range(4):
+        assert sorted(items[epoch * 7 : (epoch + 1) * 7]) == list(range(7))
+    assert list(items[:7]) != list(items[7:14])
+
+
+def test_a_checkpoint_of_another_architecture_is_refused(tmp_path):
+    work(tmp_path, 2)
+    with pytest.raises(BadInput, match="another architecture"):
+        work(tmp_path, 4, resume=True, width=5)
+
+
+def test_a_checkpoint_of_other_data_is_not_resumed(tmp_path):
+    _, _, first = work(tmp_path, 4, identity="one")
+    _, _, other = work(tmp_path, 4, resume=True, identity="two")
+    assert other == first  # all four steps again
+    _, _, same = work(tmp_path, 6, resume=True, identity="two")
+    assert len(same) == 2
+
+
+def test_a_damaged_checkpoint_is_refused(tmp_path):
+    work(tmp_path, 2)
+    path = tmp_path / "toy.safetensors"
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(BadInput, match="damaged"):
+        work(tmp_path, 4, resume=True)
+
+
+def test_curves_are_written(tmp_path):
+    _, _, losses = work(tmp_path, 2)
+    assert list((tmp_path / "curves" / "toy").glob("events*"))
+    lines = (tmp_path / "curves" / "toy.csv").read_text().splitlines()
+    assert [float(line.split(",")[2]) for line in lines[1:]] == pytest.approx(losses)
+
+
+def test_the_scale_of_16_bit_training_is_resumed(tmp_path):
+    work(tmp_path, 7, scaled=True)
+    with safe_open(tmp_path / "toy.safetensors", framework="pt") as file:
+        state = json.loads(file.metadata()["scaler"])
+    assert state["scale"] == 4096 and state["_growth_tracker"] == 1  # grew twice in 7 steps
+
+
+def test_a_batch_in_parts_has_the_items_and_the_gradient_of_the_whole(tmp_path):
+    def train(parts):
+        run = Run(tmp_path / str(parts), "toy", steps=3, config=RunConfig(device="cpu"))
+        torch.manual_seed(0)
+        model = nn.Linear(2, 1)
+        model, optimizer = run.setup(model, torch.optim.SGD(model.parameters(), lr=0.1))
+        batches = run.batches(Numbers(), 4, parts)
+        seen = []
+        for _ in run.steps():
+            for _ in run.parts(model, parts):
+                batch = next(batches)
+                loss = model(batch).square().mean()
+                run.backward(loss / parts)
+                run.log(loss=loss)
+                seen.append(batch)
+            optimizer.step()
+            optimizer.zero_grad()
+        table = (tmp_path / str(parts) / "curves" / "toy.csv").read_text().splitlines()[1:]
+        return model.weight, torch.cat(seen), [float(row.split(",")[2]) for row in table]
+
+    whole, items, losses = train(1)
+    parts, same, means = train(2)
+    assert torch.equal(items, same)
+    torch.testing.assert_close(whole, parts)
+    assert losses == pytest.approx(means)
+    with pytest.raises(BadInput, match="does not divide"):
+        next(Run(tmp_path, "toy", steps=1).batches(Numbers(), 4, 3))
+
+
+def test_what_a_process_loads_is_its_share_of_the_step(tmp_path):
+    def items(rank, world, parts):
+        batches = iter(StepSampler(7, 8, 3, 2, rank, world, parts))
+        return [item for _ in range(parts) for item in next(batches)]
+
+    whole = items(0, 1, 1)
+    for parts in (1, 2):
+        shares = [items(rank, 2, parts) for rank in (0, 1)]
+        assert sorted(shares[0] + shares[1]) == sorted(whole)
+        assert shares[0] == whole[::2]
+
+
+def test_a_fused_optimiser_goes_on_with_kernels_of_any_layout(tmp_path):
+    """Files hold tensors row by row; channels-last weights want their moments channels last."""
+
+    def made():
+        torch.manual_seed(0)
+        model = nn.Conv2d(3, 4, 3).to(memory_format=torch.channels_last)
+        return model, torch.optim.Adam(model.parameters(), lr=0.1, fused=True)
+
+    def step(model, optimizer, seed):
+        torch.manual_seed(seed)
+        model(torch.randn(1, 3, 5, 5)).square().sum().backward()
+        optimizer.step()
+        optimizer.zero_grad()
+
+    model, optimizer = made()
+    step(model, optimizer, 1)
+    save_checkpoint(tmp_path / "a.safetensors", model, optimizer, 1)
+    again, fresh = made()
+    load_checkpoint(tmp_path / "a.safetensors", again, fresh)
+    step(model, optimizer, 2)
+    step(again, fresh, 2)
+    assert torch.equal(model.weight, again.weight)
