@@ -1,0 +1,209 @@
+"""The one interface of gesture generators: how they are asked, trained, stored and found.
+
+A generator turns speech and a start pose into region motion. What it consists of, how that is
+trained and how it is loaded is its `Family`; `angie.generators` is the registry of families.
+Whatever stands outside a family's own folder knows these classes alone.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+import torch
+from torch import Tensor
+
+from angie.generators.stages import Parts, Stage
+from angie.motion.clips import MotionClip
+from angie.motion.statistics import MotionStatistics
+from data_prep.rates import FPS
+from mraa.motion import Motion
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from data_prep.speech.features import Speech
+
+
+class GestureStream(Protocol):
+    """Gestures to sound that is still coming in."""
+
+    def push(self, samples: "NDArray") -> Motion:
+        """Take sound (N,) float32 at 16 kHz; the frames, at 25 a second, that are settled now."""
+        ...
+
+    def finish(self) -> Motion:
+        """The frames that were still open: the sound has ended."""
+        ...
+
+
+class GestureGenerator(Protocol):
+    """Speech and a start pose in, region motion out.
+
+    Attributes:
+        fps: frames a second that the generator works at; callers see 25 whatever it is.
+        features: names of the features of `Speech` that it reads.
+        lookahead: seconds of sound after a frame that it has to know; None: the whole recording.
+        random: whether the seed matters where `greedy` is None.
+    """
+
+    fps: int
+    features: tuple[str, ...]
+    lookahead: float | None
+    random: bool
+
+    def generate(
+        self,
+        speech: "Speech",
+        start: Motion,
+        frames: int,
+        *,
+        seed: int = 0,
+        speaker: str | None = None,
+        style: str | Tensor | None = None,
+        seed_motion: Motion | None = None,
+        controls: Any = None,
+        greedy: bool | None = False,
+    ) -> Motion:
+        """Gesture to speech.
+
+        Args:
+            speech: the whole recording, at least `frames` frames of 1/25 s long.
+            start: pose of the photo, one frame: shift (1, K, 2), cholesky (1, K, 3).
+            frames: number of frames T to make, 25 a second.
+            seed: everything random follows from it; one seed gives one motion on one device.
+            speaker: a speaker of the training set who gestures: in their style, and around their
+                rest pose; None is anyone.
+            style: a training speaker whose way of gesturing alone is taken, by name or as a
+                vector of the family's own; None takes that of `speaker`.
+            seed_motion: recorded motion at 25 fps whose beginning the generator may take, as its
+                paper's protocol has it.
+            controls: a dataclass of the family's own, or None.
+            greedy: True draws nothing at random, False samples, None does what the settings say.
+
+        Returns:
+            Motion of exactly T frames on the CPU; frame 1 is the start pose.
+
+        Raises:
+            ValueError: too little speech for `frames`, or a start pose of other regions.
+            BadInput: an unknown speaker or style, or one that the generator cannot tell apart.
+        """
+        ...
+
+    def stream(
+        self,
+        start: Motion,
+        *,
+        seed: int = 0,
+        style: str | Tensor | None = None,
+        controls: Any = None,
+    ) -> GestureStream:
+        """Begin to gesture to sound that comes in piece by piece.
+
+        Raises:
+            NotImplementedError: `lookahead` is None.
+        """
+        raise NotImplementedError(f"{type(self).__name__} needs the whole recording at once")
+
+
+class ResamplingGenerator(GestureGenerator, Protocol):
+    """A generator that works at another rate than 25 fps.
+
+    Subclasses state `fps` and implement `generate_own`, in which the start pose, `frames`,
+    `seed_motion` and the result are at that rate.
+    """
+
+    def generate_own(self, speech: "Speech", start: Motion, frames: int, **options: Any) -> Motion:
+        """`generate` at the generator's own rate; `options` are its keyword arguments."""
+        ...
+
+    def generate(
+        self, speech: "Speech", start: Motion, frames: int, *,
+        seed_motion: Motion | None = None, **options: Any,
+    ) -> Motion:  # fmt: skip
+        """Generate at the own rate and resample; see `GestureGenerator.generate`."""
+        own = math.ceil((frames - 1) * self.fps / FPS) + 1  # the last frame lies at or after T
+        seeded = None if seed_motion is None else resample(seed_motion, FPS, self.fps)
+        motion = self.generate_own(speech, start, own, seed_motion=seeded, **options)
+        return resample(motion, self.fps, FPS, frames)
+
+
+def resample(motion: Motion, rate: float, to: float, frames: int | None = None) -> Motion:
+    """Motion at another frame rate by linear interpolation; the first frame stays as it is.
+
+    Args:
+        motion: T frames.
+        rate: frames a second of `motion`.
+        to: frames a second wanted.
+        frames: wanted; None is all up to the last frame of `motion`. Frames after that repeat it.
+    """
+    vector, last = motion.vector(), motion.frames - 1
+    if frames is None:
+        frames = math.floor(last * to / rate + 1e-6) + 1
+    place = (torch.arange(frames, dtype=torch.float64) * rate / to).clamp_max(last)
+    low = place.floor().long()
+    share = (place - low).to(vector.dtype)[:, None]
+    return motion.like(vector[low] * (1 - share) + vector[(low + 1).clamp_max(last)] * share)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Settings of a row of a paper's table of ablations.
+
+    Attributes:
+        change: the settings of the variant from those of the family.
+        parts_of: a variant whose parts serve this one as well; None trains its own.
+    """
+
+    change: Callable[[Any], Any]
+    parts_of: str | None = None
+
+
+@dataclass(frozen=True)
+class Family:
+    """A kind of generator.
+
+    Attributes:
+        name: in bundles, options and settings; letters, digits and "_".
+        title: for people, such as "ANGIE (NeurIPS 2022)".
+        settings: a frozen dataclass with a default for every field.
+        stages: of training, in their order.
+        load: the generator of a bundle, at a precision ("fp32", "bf16", "auto").
+        presets: settings by the name of the bundle's preset; without one, `settings()`.
+        fit: settings for motion of that many regions, or of points without extent.
+        styles: names of the styles that such settings tell apart; none if there is but one.
+        style_advice: how a model with several styles is trained, for a message.
+        variants: of ablations, in the order of the table.
+        columns: of that table, beside the scores: shares of the frames of clips.
+        report: what `angie info` says of a part, a phrase each, from its report and the settings.
+        reconstruct: a clip's motion through the generator's own tokens, given its name as
+            `speaker` or None; None where a generator has none.
+    """
+
+    name: str
+    title: str
+    settings: type
+    stages: tuple[Stage, ...]
+    load: Callable[[Parts, str], GestureGenerator]
+    presets: Mapping[str, Callable[[], Any]] = field(default_factory=dict)
+    fit: Callable[[Any, int, bool], Any] = lambda settings, regions, points: settings
+    styles: Callable[[Any, MotionStatistics], tuple[str, ...]] = lambda settings, statistics: ()
+    style_advice: str = ""
+    variants: Mapping[str, Variant] = field(default_factory=dict)
+    columns: Mapping[str, Callable[[GestureGenerator, Sequence[MotionClip]], float]] = field(
+        default_factory=dict
+    )
+    report: Callable[[str, dict[str, Any], Any], list[str]] = lambda stage, report, settings: []
+    reconstruct: Callable[[GestureGenerator, MotionClip, str | None], Motion] | None = None
+
+    def preset(self, name: str) -> Any:
+        """Settings for a bundle of this preset."""
+        return self.presets.get(name, self.settings)()
+
+    def stage(self, name: str) -> Stage:
+        """The stage of a name."""
+        return next(stage for stage in self.stages if stage.name == name)
+
+    def wanted(self, settings: Any) -> list[Stage]:
+        """The stages that there are under these settings."""
+        return [stage for stage in self.stages if stage.wanted(settings)]
