@@ -1,237 +1,229 @@
-"""The page of an evaluation: tables, plots, videos, definitions; only the videos lie beside it."""
+"""The page of an evaluation: tables, plots, videos, definitions; only the videos lie beside it.
 
-from collections.abc import Mapping, Sequence
-from html import escape
-from pathlib import PurePosixPath
-from typing import Any
-from urllib.parse import quote
-
-from angie.evaluation import plots
-from angie.evaluation.definitions import IMAGES, MOTION, Definition
-
-_STYLE = """
-body{font:15px/1.45 system-ui,sans-serif;margin:2em auto;max-width:1280px;padding:0 1em;
- color:#1d2530;background:#fff}
-h1{font-size:1.5em;margin:0 0 .2em}h2{font-size:1.2em;margin:2em 0 .5em}
-h3{font-size:1em;margin:1.4em 0 .4em}
-.wide{overflow-x:auto}table{border-collapse:collapse;font-size:.92em}
-td,th{padding:.25em .7em .25em 0;text-align:left;white-space:nowrap}
-td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}
-th{color:#667;font-weight:500;vertical-align:bottom}tr.line td{border-top:1px solid #dde}
-.soft{color:#667}.none{color:#aab}small{color:#667}
-.warn{background:#fff6e0;border-left:4px solid #e0a020;padding:.5em .9em;margin:.6em 0}
-figure{margin:0 1.5em 1.2em 0;display:inline-block;vertical-align:top}
-figcaption{font-weight:500;margin-bottom:.3em}svg text{font:11px system-ui,sans-serif;fill:#556}
-.legend span{margin-right:1.2em;white-space:nowrap}
-.legend i{display:inline-block;width:12px;height:12px;border-radius:3px;margin-right:.4em}
-video{display:block;max-width:100%;margin:.3em 0 1.2em}code{font-size:.92em}
-dt{font-weight:500;margin-top:.5em}dd{margin:0 0 0 1.2em;color:#445}
+Its layout is `templates/report.html.j2`. The plots are inline SVG by matplotlib, the same bytes for
+the same numbers.
 """
+
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from markupsafe import Markup
+
+from angie.evaluation.definitions import IMAGES, MOTION
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLOURS = (
+    "#1d2530", "#9aa4b2", "#d9774f", "#e0a020", "#4674c1", "#3a9d5d", "#8d5bb5", "#c2477f",
+    "#2f9aa0", "#7a5c3a",
+)  # fmt: skip
+"""Of the rows in their order, from the start again where there are more."""
+
+ARROWS = {"higher": "\u2191", "lower": "\u2193", "nearest": "\u2248"}
+"""By the first word of `Definition.better`."""
+
+DOTS = ("fgd", "bc", "pmb", "diversity", "hellinger", "acceleration")
+"""Scores that have a plot of one dot a row."""
+
+BY_SPEAKER = ("fgd", "bc", "diversity")
+"""Columns of the table by speaker."""
+
+NAME = 22
+"""Letters of a row's name in a plot, at most."""
+
+_SMALL = (5.6, 3.2)
+_WIDE = 11.4
+"""Inches of 72 points: of a plot, and the width of the plot of activities."""
+
+_LOOK = {
+    "svg.hashsalt": "angie",  # else ids, and with them the file, differ from run to run
+    "svg.fonttype": "none",
+    "text.parse_math": False,
+    "font.family": "sans-serif",
+    "font.size": 8.5,
+    "text.color": "#556",
+    "axes.edgecolor": "#99a",
+    "axes.labelcolor": "#556",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.color": "#556",
+    "ytick.color": "#556",
+}
 
 
 def page(title: str, numbers: Mapping[str, Any]) -> str:
-    """Lay out the report.
+    """Lay out the report as HTML.
 
     Args:
         title: name of the dataset.
-        numbers: as `report.numbers_of` gives them.
+        numbers: as `evaluate` returns them.
     """
-    parts = [_head(title, numbers)]
-    for space in numbers["spaces"]:
-        parts += _space(space, several=len(numbers["spaces"]) > 1)
-    parts += [_definitions(), _origin(numbers)]
-    return (
-        f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(title)}</title>"
-        f"<meta name=viewport content='width=device-width'><style>{_STYLE}</style>\n"
-        + "\n".join(part for part in parts if part)
-        + "\n</html>\n"
-    )
-
-
-def _head(title: str, numbers: Mapping[str, Any]) -> str:
-    data = numbers["dataset"]
-    return (
-        f"<h1>Evaluation on {escape(title)}</h1><p>{data['test_clips']} test clips, "
-        f"{data['test_minutes']:.1f} minutes of {escape(', '.join(data['speakers']))}; "
-        f"{data['train_clips']} training clips, {data['train_minutes']:.1f} minutes. "
-        f"{data['fps']} frames a second. Numbers after &plusmn; are half of the 95 % interval of "
-        "the mean over runs with different seeds.</p>"
-    )
-
-
-def _space(space: Mapping[str, Any], several: bool) -> list[str]:
-    rows = space["rows"]
-    names = [row["name"] for row in rows]
-    parts = []
-    if several:
-        parts.append(
-            f"<h2>Regions of {escape(', '.join(space['bundles']) or 'the estimator')} "
-            f"<code>{space['estimator'][:12]}</code></h2><p class=soft>Scores of different regions "
-            "cannot be compared.</p>"
-        )
-    parts += [
-        "<h2>Motion</h2>",
-        _warnings(space),
-        _table(rows, MOTION),
-        _about(rows),
-        _plots(space, names),
-        _speakers(space),
+    spaces = [
+        {
+            **space,
+            "legend": [(row["name"], colour(i)) for i, row in enumerate(space["rows"])],
+            "plots": plots(space),
+            "missing": _missing(space),
+        }
+        for space in numbers["spaces"]
     ]
-    if space["images"] is not None:
-        parts += [
-            "<h2>Images</h2><p>From each clip's first frame, against the recorded frames. "
-            + escape(space["images"]["about"])
-            + "</p>",
-            _table(space["images"]["rows"], IMAGES),
-            _about(space["images"]["rows"]),
-        ]
-    if space["videos"]:
-        parts.append("<h2>Videos</h2><p class=soft>What is synthetic is marked in the files.</p>")
-        parts += [
-            f"<div>{escape(PurePosixPath(name).stem)}"
-            f"<video controls preload=metadata src='{quote(name)}'></video></div>"
-            for name in space["videos"]
-        ]
-    parts.append(_missing(rows + (space["images"]["rows"] if space["images"] else [])))
-    return parts
-
-
-def cell(summary: Mapping[str, Any], digits: int) -> str:
-    """Value and interval as HTML."""
-    if summary["mean"] is None:
-        return f"<td class='n none' title='{escape(summary['reason'], quote=True)}'>none</td>"
-    half = summary["interval"]
-    more = f" <small>&plusmn;{half:.{digits}f}</small>" if half is not None else ""
-    return f"<td class=n>{summary['mean']:.{digits}f}{more}</td>"
-
-
-def _table(rows: Sequence[Mapping[str, Any]], columns: Sequence[Definition]) -> str:
-    heads = "".join(
-        f"<th class=n title='{escape(c.text, quote=True)}'>{escape(c.title)} "
-        f"{_ARROWS[c.better.split()[0]]}<br><small>{escape(c.unit)}</small></th>"
-        for c in columns
-    )
-    lines = "".join(
-        f"<tr class=line><td><b>{escape(row['name'])}</b></td><td class=n>{row['runs']}</td>"
-        + "".join(cell(row["scores"][c.key], c.digits) for c in columns)
-        + "</tr>"
-        for row in rows
-    )
-    head = f"<tr><th></th><th class=n>runs</th>{heads}</tr>"
-    return f"<div class=wide><table>{head}{lines}</table></div>"
-
-
-_ARROWS = {"higher": "&uarr;", "lower": "&darr;", "nearest": "&asymp;"}
-
-
-def _about(rows: Sequence[Mapping[str, Any]]) -> str:
-    return "".join(
-        f"<div class=soft><b>{escape(row['name'])}</b>: {escape(row['about'])}</div>"
-        for row in rows
+    return _template().render(
+        title=title,
+        dataset=numbers["dataset"],
+        spaces=spaces,
+        motion=MOTION,
+        images=IMAGES,
+        speaker_columns=[c for c in MOTION if c.key in BY_SPEAKER],
+        arrows=ARROWS,
+        origin=_origin(numbers),
     )
 
 
-def _warnings(space: Mapping[str, Any]) -> str:
-    lines = space["warnings"]
-    if not lines:
-        return ""
-    return "<div class=warn>" + "".join(f"<div>{escape(x)}</div>" for x in lines) + "</div>"
-
-
-def _plots(space: Mapping[str, Any], names: Sequence[str]) -> str:
-    rows = space["rows"]
-    shown = {c.key: c for c in MOTION}
-    figures = [
-        plots.dots(
-            f"{shown[key].title} ({shown[key].better})",
-            [(r["name"], r["scores"][key]["mean"], r["scores"][key]["interval"]) for r in rows],
-            shown[key].digits,
-        )
-        for key in ("fgd", "bc", "pmb", "diversity", "hellinger", "acceleration")
-    ]
-    curves = {
-        r["name"]: ([float(x) for x in r["pmb_curve"]], list(r["pmb_curve"].values())) for r in rows
-    }
-    speeds = {r["name"]: (space["speed_bins"], r["speeds"]) for r in rows}
-    kind = space["kind"]
-    unit = "px" if kind == "regions" else "units"
-    figures += [
-        plots.lines("Matched beats over the threshold", curves, "threshold, s", "PMB, %"),
-        plots.lines(
-            f"Speed of the active {kind}", speeds, f"mean speed, {unit}/s", "share of slower frames"
-        ),
-    ]
-    activity = space["activity"]
-    bands = plots.activities(
-        f"Activity in {activity['clip']}, run 1, and the onsets of its sound",
-        activity["curves"],
-        activity["onsets"],
-        space["fps"],
+@cache
+def _template() -> Template:
+    environment = Environment(
+        loader=PackageLoader("angie.evaluation"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
     )
-    return plots.legend(names) + "".join(figures) + f"<div class=wide>{bands}</div>"
+    return environment.get_template("report.html.j2")
 
 
-def _speakers(space: Mapping[str, Any]) -> str:
-    speakers = list(space["rows"][0]["by_speaker"])
-    if len(speakers) < 2:
-        return ""
-    keys = [c for c in MOTION if c.key in ("fgd", "bc", "diversity")]
-    heads = "".join(
-        f"<th class=n>{escape(s)}<br><small>{c.title}</small></th>" for s in speakers for c in keys
-    )
-    lines = ""
-    for row in space["rows"]:
-        cells = "".join(
-            cell(row["by_speaker"][s][c.key], c.digits)
-            if s in row["by_speaker"]
-            else "<td class='n none'>none</td>"
-            for s in speakers
-            for c in keys
-        )
-        lines += f"<tr class=line><td><b>{escape(row['name'])}</b></td>{cells}</tr>"
-    return (
-        f"<h3>By speaker</h3><div class=wide><table><tr><th></th>{heads}</tr>{lines}</table></div>"
-    )
-
-
-def _missing(rows: Sequence[Mapping[str, Any]]) -> str:
+def _missing(space: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Titles of the columns without a value, by row and reason."""
     titles = {c.key: c.title for c in (*MOTION, *IMAGES)}
-    lines: dict[str, list[str]] = {}
-    for row in rows:
-        for key, summary in row["scores"].items():
-            if summary["mean"] is None:
-                lines.setdefault(f"{row['name']}: {summary['reason']}", []).append(titles[key])
-    if not lines:
-        return ""
-    text = "".join(
-        f"<div><b>{escape(', '.join(keys))}</b> of {escape(why)}</div>"
-        for why, keys in lines.items()
-    )
-    return f"<h3>Not available</h3><div class=soft>{text}</div>"
+    found: dict[str, list[str]] = {}
+    for row in (*space["rows"], *(space["images"] or {"rows": []})["rows"]):
+        for key, score in row["scores"].items():
+            if score["mean"] is None:
+                found.setdefault(f"{row['name']}: {score['reason']}", []).append(titles[key])
+    return found
 
 
-def _definitions() -> str:
-    items = "".join(
-        f"<dt>{escape(c.title)} <small>{escape(c.better)}"
-        f"{', ' + escape(c.unit) if c.unit else ''}</small></dt><dd>{escape(c.text)}</dd>"
-        for c in (*MOTION, *IMAGES)
-    )
-    what = "All positions are region centres, or joints where the dataset is one of joints."
-    return f"<h2>Definitions</h2><p>{what}</p><dl>{items}</dl>"
-
-
-def _origin(numbers: Mapping[str, Any]) -> str:
+def _origin(numbers: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What the report was made of and how, by what it is."""
     lines = [
         ("angie", f"{numbers['angie']} {numbers['commit'][:12]}"),
         ("dataset", f"{numbers['dataset']['name']}, sha256 {numbers['dataset']['sha256']}"),
-        *((k.replace("_", " "), str(v)) for k, v in numbers["options"].items()),
+        *((key.replace("_", " "), str(value)) for key, value in numbers["options"].items()),
     ]
     for space in numbers["spaces"]:
         whose = "renderer" if space["kind"] == "regions" else "joints of the dataset"
         lines.append(("motion", f"{space['kind']}, {whose} sha256 {space['estimator']}"))
-        for key, value in space["origin"].items():
-            lines.append((key, str(value)))
-    rows = "".join(
-        f"<tr><td>{escape(k)}</td><td><code>{escape(v)}</code></td></tr>" for k, v in lines
+        lines += [(key, str(value)) for key, value in space["origin"].items()]
+    return lines
+
+
+def colour(index: int) -> str:
+    """Colour of the row with this number."""
+    return COLOURS[index % len(COLOURS)]
+
+
+def plots(space: Mapping[str, Any]) -> list[dict[str, str]]:
+    """The plots of a space, each a title and its SVG."""
+    rows, kind, shown = space["rows"], space["kind"], space["activity"]
+    columns = {c.key: c for c in MOTION}
+    figures = [
+        (f"{columns[key].title} ({columns[key].better})", _dots(rows, key, columns[key].digits))
+        for key in DOTS
+    ]
+    matched = [([float(x) for x in r["pmb_curve"]], list(r["pmb_curve"].values())) for r in rows]
+    figures.append(("Matched beats over the threshold", _lines(matched, "threshold, s", "PMB, %")))
+    speeds = [(space["speed_bins"], row["speeds"]) for row in rows]
+    unit = "px" if kind == "regions" else "units"
+    label = f"mean speed, {unit}/s"
+    figures.append((f"Speed of the active {kind}", _lines(speeds, label, "share of slower frames")))
+    figures.append(
+        (
+            f"Activity in {shown['clip']}, run 1, and the onsets of its sound",
+            _activities(shown["curves"], shown["onsets"], space["fps"]),
+        )
     )
-    return f"<h2>Origin</h2><div class=wide><table>{rows}</table></div>"
+    return [{"title": title, "svg": Markup(svg)} for title, svg in figures]
+
+
+class _Drawing:
+    """A plot while it is drawn; `svg` holds the element afterwards."""
+
+    axes: Sequence["Axes"]
+    svg: str = ""
+
+
+@contextmanager
+def _drawing(width: float, height: float, panels: int = 1) -> Iterator[_Drawing]:
+    """Axes one below the other to draw into, of one x axis."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    drawing = _Drawing()
+    with matplotlib.rc_context(_LOOK):  # type: ignore[arg-type]
+        figure = Figure((width, height), layout="constrained")
+        grid = figure.subplots(panels, 1, sharex=True, squeeze=False)
+        drawing.axes = list(grid[:, 0])
+        yield drawing
+        file = io.StringIO()
+        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+    text = file.getvalue()
+    drawing.svg = text[text.index("<svg") :]
+
+
+def _dots(rows: Sequence[Mapping[str, Any]], key: str, digits: int) -> str:
+    """One dot a row, with its interval where there is one; a row without a value says so."""
+    with _drawing(_SMALL[0], 0.32 * len(rows) + 0.3) as drawing:
+        (axes,) = drawing.axes
+        for index, row in enumerate(rows):
+            value, half = row["scores"][key]["mean"], row["scores"][key]["interval"]
+            if value is None:
+                axes.annotate("none", (0, index), (4, 0), textcoords="offset points", va="center")
+                continue
+            axes.errorbar(value, index, xerr=half, fmt="o", ms=5, lw=1.8, color=colour(index))
+            axes.annotate(
+                f"{value:.{digits}f}", (value + (half or 0), index), (8, 0),
+                textcoords="offset points", va="center",
+            )  # fmt: skip
+        axes.axvline(0, color="#ccd", lw=1, zorder=0)
+        axes.margins(x=0.16)
+        axes.set_ylim(len(rows) - 0.5, -0.5)
+        axes.set_yticks(range(len(rows)), [row["name"][:NAME] for row in rows])
+        axes.tick_params("y", length=0)
+        axes.xaxis.set_visible(False)
+        axes.spines[["left", "bottom"]].set_visible(False)
+    return drawing.svg
+
+
+def _lines(
+    curves: Sequence[tuple[Sequence[float], Sequence[float | None]]], x_label: str, y_label: str
+) -> str:
+    """A curve a row, x and y of each; a None leaves a gap."""
+    with _drawing(*_SMALL) as drawing:
+        (axes,) = drawing.axes
+        for index, (x, y) in enumerate(curves):
+            axes.plot(x, [float("nan") if v is None else v for v in y], color=colour(index))
+        axes.set(xlabel=x_label, ylabel=y_label)
+        axes.set_ylim(bottom=0)
+        axes.margins(x=0)
+    return drawing.svg
+
+
+def _activities(curves: Mapping[str, Sequence[float]], onsets: Sequence[float], fps: float) -> str:
+    """How much moves over time, a panel a row, with the onsets of the sound as lines."""
+    top = max((max(curve, default=0) for curve in curves.values()), default=0) or 1.0
+    with _drawing(_WIDE, 0.75 * len(curves) + 0.5, max(len(curves), 1)) as drawing:
+        for index, (axes, name) in enumerate(zip(drawing.axes, curves, strict=False)):
+            for onset in onsets:
+                axes.axvline(onset, color="#e8d9b0", lw=1, zorder=0)
+            seconds = [frame / fps for frame in range(len(curves[name]))]
+            axes.plot(seconds, curves[name], color=colour(index), lw=1.4)
+            axes.set_ylim(0, top)
+            axes.set_yticks([])
+            axes.set_ylabel(name[:NAME], rotation=0, ha="right", va="center")
+            axes.margins(x=0)
+        drawing.axes[-1].set_xlabel("s")
+    return drawing.svg

@@ -112,7 +112,7 @@ def test_the_files_of_a_report(numbers, tmp_path):
     assert "abc,motion,ground truth,1,maje,1/1000,0,," in lines
     html = (tmp_path / "report.html").read_text()
     assert "no &lt;network&gt;" in html and "<network>" not in html
-    assert html.count("<svg") >= 9 and "src='videos-0/a.mp4'" in html
+    assert html.count("<svg") >= 9 and 'src="videos-0/a.mp4"' in html
     assert html == page("set", numbers)
 
 
