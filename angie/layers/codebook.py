@@ -49,22 +49,21 @@ def _nearest(values: Tensor, entries: Tensor) -> Tensor:
 
 
 def cluster(values: Tensor, count: int, rounds: int = 10) -> Tensor:
-    """Centres (count, W) of vectors (n, W): k-means, begun with k-means++.
+    """Centres (count, W) of vectors (n, W) by k-means from k-means++; fewer vectors are repeated.
 
-    A centre that no vector is nearest to stays where it is. Random by torch's global generator.
+    Random by torch's global generator, from which scikit-learn's seed is drawn; on one thread,
+    because several add up their sums in the order in which they end.
     """
-    centres = values[torch.randint(len(values), (1,), device=values.device)]
-    apart = torch.full((len(values),), float("inf"), device=values.device)
-    while len(centres) < count:
-        apart = torch.minimum(apart, (values - centres[-1]).square().sum(-1))
-        drawn = torch.multinomial(apart + 1e-12, 1)
-        centres = torch.cat([centres, values[drawn]])
-    for _ in range(rounds):
-        places = _nearest(values, centres)
-        found = torch.bincount(places, minlength=count)[:, None]
-        sums = torch.zeros_like(centres).index_add_(0, places, values)
-        centres = torch.where(found > 0, sums / found.clamp_min(1), centres)
-    return centres
+    from sklearn.cluster import KMeans  # slow to import
+    from threadpoolctl import threadpool_limits
+
+    if len(values) <= count:
+        return values.repeat(-(-count // len(values)), 1)[:count]
+    seed = int(torch.randint(2**31 - 1, ()))
+    model = KMeans(count, n_init=1, max_iter=rounds, random_state=seed)
+    with threadpool_limits(1):
+        centres = model.fit(values.cpu().numpy()).cluster_centers_
+    return torch.from_numpy(centres).to(values)
 
 
 class Codebook(nn.Module):

@@ -92,7 +92,7 @@ def raw_distance(real: NDArray, made: NDArray, shrinkage: str = "pca") -> Score:
       2). What leaves their span is not seen.
     - "ledoit-wolf": with the covariances of Ledoit and Wolf (2004), exact and without a matrix of
       (d, d): outside of the span of the windows both covariances are multiples of the identity.
-      The cost grows with the cube of n + m.
+      The cost grows with the cube of n + m and the square of d.
 
     Args:
         real: windows of recorded motion.
@@ -126,16 +126,9 @@ def ledoit_wolf(rows: NDArray) -> tuple[float, float]:
         a and m of `(1 - a) S + a m I`, S the unbiased covariance, m = Tr S / d. The a is that of
         the biased covariance, as in the paper; 0 for rows without any deviation.
     """
-    centred = rows - rows.mean(0)
-    count, width = centred.shape
-    gram = centred @ centred.T  # (n, n), has the non-zero eigenvalues of n S
-    mean = np.trace(gram) / (count * width)
-    square = (gram**2).sum() / count**2  # |S|^2
-    spread = square - width * mean**2  # |S - m I|^2
-    if not spread > 0:
-        return 0.0, float(mean)
-    noise = ((np.diag(gram) ** 2).sum() / count - square) / count
-    return float(min(max(noise, 0.0), spread) / spread), float(mean * count / (count - 1))
+    from sklearn.covariance import ledoit_wolf_shrinkage  # slow to import
+
+    return float(ledoit_wolf_shrinkage(rows)), float(rows.var(axis=0, ddof=1).mean())
 
 
 def _shrunk_distance(real: NDArray, made: NDArray) -> float:

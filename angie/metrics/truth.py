@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from angie.metrics.score import Score, not_finite
 
@@ -79,22 +80,21 @@ def _basis(rows: NDArray) -> NDArray:
     if not rows.shape[1]:
         return rows
     scaled = (rows - rows.mean(0)) / rows.std(axis=0)
-    left, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
-    return left[:, sizes > 1e-10 * sizes[0]]
+    return linalg.orth(scaled, rcond=1e-10)
 
 
 def canonical_correlation(first: NDArray, second: NDArray) -> float | str:
     """Largest canonical correlation of rows (T, d) and (T, e), or why there is none.
 
-    It is the largest singular value of the product of orthonormal bases of both (Bjorck and Golub
-    1973), which is the Pearson correlation of the first pair of canonical variates.
+    It is the cosine of the smallest angle between the subspaces that their columns span (Bjorck
+    and Golub 1973), which is the Pearson correlation of the first pair of canonical variates.
     """
     one, two = _basis(first), _basis(second)
     if not one.shape[1] or not two.shape[1]:
         return "no dimension varies"
     if one.shape[1] + two.shape[1] >= len(first):
         return "as many dimensions as frames"  # any two sets of so few frames correlate fully
-    return min(float(np.linalg.norm(one.T @ two, 2)), 1.0)
+    return float(np.cos(linalg.subspace_angles(one, two).min()))
 
 
 def global_cca(real: Sequence[NDArray], made: Sequence[NDArray]) -> Score:

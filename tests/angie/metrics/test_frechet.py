@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import scipy.linalg
+from sklearn.covariance import ledoit_wolf
 
 from angie.metrics import frechet
 
@@ -46,11 +47,10 @@ def test_few_windows_are_warned_of_and_one_is_refused(rng):
 
 
 def test_ledoit_wolf_is_that_of_scikit_learn(rng):
-    covariance = pytest.importorskip("sklearn.covariance")
     for shape in ((30, 8), (20, 100)):
         rows = rng.normal(size=shape) * np.linspace(0.5, 2, shape[1])
         share, mean = frechet.ledoit_wolf(rows)
-        fitted, wanted = covariance.ledoit_wolf(rows)
+        fitted, wanted = ledoit_wolf(rows)
         assert share == pytest.approx(wanted)
         scaled = (len(rows) - 1) / len(rows)  # that one is biased
         assert mean * scaled == pytest.approx(np.trace(fitted) / shape[1])

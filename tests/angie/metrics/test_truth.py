@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from sklearn.cross_decomposition import CCA
 
 from angie.metrics import truth
 
@@ -40,11 +41,10 @@ def test_cca_of_identical_and_of_linearly_related_motion_is_1(rng):
 
 
 def test_cca_is_that_of_scikit_learn(rng):
-    decomposition = pytest.importorskip("sklearn.cross_decomposition")
     real = rng.normal(size=(300, 4, 2))
     made = real[:, ::-1] * 0.5 + rng.normal(size=real.shape)
     flat = real.reshape(300, 8), made.reshape(300, 8)
-    model = decomposition.CCA(n_components=1, max_iter=5000, tol=1e-12).fit(*flat)
+    model = CCA(n_components=1, max_iter=5000, tol=1e-12).fit(*flat)
     variates = model.transform(*flat)
     wanted = np.corrcoef(variates[0][:, 0], variates[1][:, 0])[0, 1]
     assert truth.global_cca([real], [made]).value == pytest.approx(wanted, abs=1e-6)
