@@ -13,7 +13,7 @@ from data_prep.errors import BadInput
 from data_prep.files import check_apart, whole_file
 from data_prep.media.audio import read_sound
 from data_prep.rates import FPS, frames_covering
-from data_prep.speech.features import speech_features
+from data_prep.speech.features import Speech
 from mraa.motion import Motion, read_motion
 
 
@@ -98,7 +98,7 @@ def gestures(
         samples = read_sound(sound_path)
         pose = start_pose(generator.statistics, speaker, start)
         frames = frames_covering(len(samples))
-        speech = speech_features(samples)
+        speech = Speech(samples)
         motion = generator.generate(speech, pose, frames, seed, speaker, style=style)
         arrays: dict[str, Any] = {"fps": np.array(float(fps))}
         if points:

@@ -18,7 +18,7 @@ from data_prep.media.writer import WriteThread
 from data_prep.progress import progress
 from data_prep.rates import FPS, SAMPLE_RATE, frames_covering
 from data_prep.speaker.crop import Crop
-from data_prep.speech.features import speech_features
+from data_prep.speech.features import Speech
 from mraa.avd import hull_scale
 from mraa.draw import render, source_pose
 from mraa.motion import Motion
@@ -118,8 +118,11 @@ def animate(
         generator.config = replace(generator.config, sampling=sampling)
         frames, seconds = frames_covering(len(samples)), len(samples) / SAMPLE_RATE
         pose = source_pose(subject.renderer, subject.picture)
-        speech = speech_features(samples)
-        del samples  # long recordings leave their memory to the renderer
+        speech = Speech(samples)
+        for name in ("onset", "mfcc"):
+            speech[name]
+        del samples
+        speech.forget_samples()  # long recordings leave their memory to the renderer
         motion = generator.generate(speech, pose, frames, seed, style=style)
         del speech
         if scale_motion == "hull":

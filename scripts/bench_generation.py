@@ -34,7 +34,7 @@ from angie.generators.angie.tokenizer import VQMotionExtractor
 from angie.layers.packed_linear import pack, packable, product_type
 from data_prep.errors import BadInput, call_script
 from data_prep.rates import FPS, SAMPLE_RATE, tokens_covering
-from data_prep.speech.features import SpeechFeatures, speech_features
+from data_prep.speech.features import Speech
 from mraa.motion import Motion
 
 CODES = 60
@@ -116,20 +116,20 @@ def shares(generator: AngieGenerator, length: int, window: str) -> None:
     place = np.arange(length * SAMPLE_RATE, dtype=np.float32)
     noise = np.random.default_rng(0).standard_normal(len(place), np.float32)
     samples = 0.1 * noise * (np.sin(place / 4000) > 0)
-    made: list[SpeechFeatures] = []
-    heard, room = grown(lambda: made.append(speech_features(samples)))
-    onset = torch.from_numpy(made[0].onset[: tokens_covering(length * FPS)])
+    speech = Speech(samples)
+    heard, room = grown(lambda: [speech[name] for name in ("onset", "mfcc")])
+    onset = torch.from_numpy(speech["onset"][: tokens_covering(length * FPS)])
     codes = torch.randint(generator.vq.config.codes, (2, len(onset)))
     pose = Motion.from_vector(generator.statistics.rest[:1])
     pattern = generator._integrate(generator._decode(codes)[: length * FPS], pose.vector()[0], None)
-    mfcc = torch.from_numpy(made[0].mfcc)
+    mfcc = torch.from_numpy(speech["mfcc"])
     parts = {
         "features": heard,
         "codes": seconds(lambda: generator._codes(onset, 0, None)),
         "decoding": seconds(lambda: generator._decode(codes)),
         "refinement": seconds(lambda: generator._residual(mfcc, pattern)),
     }
-    _, more = grown(lambda: generator.generate(made[0], pose, length * FPS))
+    _, more = grown(lambda: generator.generate(speech, pose, length * FPS))
     text = ", ".join(f"{name} {100 * part / length:.2f} %" for name, part in parts.items())
     total = 100 * sum(parts.values()) / length
     print(

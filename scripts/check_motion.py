@@ -67,7 +67,7 @@ from angie.motion.windows import WINDOW, MotionWindows
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput, call_script
 from data_prep.rates import FPS, FRAMES_PER_TOKEN, SAMPLE_RATE, SAMPLES_PER_FRAME
-from data_prep.speech.features import SpeechFeatures, speech_features
+from data_prep.speech.features import Speech
 from data_prep.speech.synchrony import steps
 from mraa.motion import Motion
 
@@ -178,7 +178,7 @@ def begun(generator: AngieGenerator, clip: MotionClip, seed: int) -> Motion:
     codes = generator.codes_of(clip.motion[:WINDOW])
     assert codes is not None
     return generator.generate(
-        clip.features, clip.motion[:1], clip.motion.frames, seed, clip.speaker, codes[:, :1]
+        clip.speech, clip.motion[:1], clip.motion.frames, seed, clip.speaker, codes[:, :1]
     )
 
 
@@ -189,7 +189,7 @@ def calm(
     known = {clip.id: clip for clip in data.clips("test")}
     seen: dict[str, int] = {}
     made, quiet, loud = [], [], []
-    silence = speech_features(np.zeros(QUIET * SAMPLE_RATE, np.float32))
+    silence = Speech(np.zeros(QUIET * SAMPLE_RATE, np.float32))
     for clip in clips:
         still = pauses(data, known[clip.name])
         moved = speed(clip.motion, generator.statistics)
@@ -200,7 +200,7 @@ def calm(
             continue
         sound = data.sound(known[clip.name])[: SPEECH * SAMPLE_RATE]
         border = len(sound) // SAMPLES_PER_FRAME
-        speech = speech_features(np.concatenate([sound, np.zeros(QUIET * SAMPLE_RATE, np.float32)]))
+        speech = Speech(np.concatenate([sound, np.zeros(QUIET * SAMPLE_RATE, np.float32)]))
         for seed in SEEDS:
             motion = generator.generate(
                 speech, clip.motion[:1], border + QUIET * FPS, seed, clip.speaker
@@ -233,15 +233,13 @@ def pauses(data: Dataset, clip: Any) -> NDArray:
     return still
 
 
-def long_sound(
-    data: Dataset, clips: list[MotionClip], minutes: float, later: int = 0
-) -> SpeechFeatures:
+def long_sound(data: Dataset, clips: list[MotionClip], minutes: float, later: int = 0) -> Speech:
     """Features of the sound of clips, joined, begun some tokens later and repeated to a length."""
     known = {clip.id: clip for clip in data.clips("test")}
     sound = np.concatenate([data.sound(known[clip.name]) for clip in clips])
     sound = np.roll(sound, -later * FRAMES_PER_TOKEN * SAMPLES_PER_FRAME)
     wanted = int(minutes * 60 * SAMPLE_RATE) // SAMPLES_PER_FRAME * SAMPLES_PER_FRAME
-    return speech_features(np.resize(sound, wanted))
+    return Speech(np.resize(sound, wanted))
 
 
 def borders(generator: AngieGenerator, frames: int) -> dict[str, NDArray]:

@@ -24,7 +24,7 @@ from data_prep.media.audio import read_sound
 from data_prep.phantom import skeleton as score
 from data_prep.rates import FPS, SAMPLE_RATE
 from data_prep.speech import synchrony
-from data_prep.speech.features import onset_times
+from data_prep.speech.features import Speech
 
 CHANGES: dict[str, Callable[[NDArray], NDArray]] = {
     "hands": score.steps, "arms": score.arm_turns,
@@ -55,7 +55,7 @@ def read(video: Path) -> Clip:
         )
         name, joints = str(truth["presenter"]), truth["joints"]
         samples = read_sound(video, SAMPLE_RATE)
-        return Clip(name, joints, onset_times(samples).astype(np.float64), list(strokes))
+        return Clip(name, joints, Speech(samples)["onset_times"].astype(np.float64), list(strokes))
 
 
 def starts(clips: list[Clip], late: float = 0.0) -> NDArray:

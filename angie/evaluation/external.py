@@ -43,7 +43,7 @@ from data_prep.media.video import probe, read_frames
 from data_prep.prepare.source import videos_in
 from data_prep.progress import progress
 from data_prep.rates import FPS, IMAGE_SIZE
-from data_prep.speech.features import onset_times
+from data_prep.speech.features import Speech
 from mraa.extract import measure_motion
 from mraa.regions import RegionEstimator
 
@@ -122,7 +122,7 @@ def watch(path: Path, space: RegionSpace, estimator: RegionEstimator) -> Watched
     own = next((clip for clip in space.train if clip.name == path.stem), clip)
     frames = motion.frames if clip is None else min(motion.frames, clip.motion.frames)
     if info.has_sound:
-        times = onset_times(read_sound(path, origin=info.start)).astype(np.float64)
+        times = Speech(read_sound(path, origin=info.start))["onset_times"].astype(np.float64)
         onsets = times[times < frames / FPS]
     else:
         onsets = np.zeros(0) if clip is None else onsets_within(clip, frames)

@@ -131,7 +131,7 @@ def nearest_audio(space: RegionSpace) -> Row:
 
 def _sound(clip: MotionClip, space: RegionSpace) -> NDArray:
     """Standardised cepstra (T, 12) of each frame: the mean of its own four."""
-    mfcc = torch.as_tensor(clip.features.mfcc[: clip.motion.frames])
+    mfcc = torch.as_tensor(clip.speech["mfcc"][: clip.motion.frames])
     middle = mfcc.shape[1] // 2
     own = space.statistics.standard_mfcc(mfcc)[:, middle - 2 : middle + 2]
     return own.mean(1).numpy()
@@ -214,7 +214,7 @@ def generated(
             codes = generator.codes_of(clip.motion[:WINDOW]) if start == "truth" else None
             codes = None if codes is None else codes[:, :1]
             motion = generator.generate(
-                clip.features,
+                clip.speech,
                 clip.motion[:1],
                 clip.motion.frames,
                 seed,
@@ -240,7 +240,7 @@ def reconstructed(generator: AngieGenerator, clip: MotionClip) -> Motion:
     """
     whole = replace(generator, config=replace(generator.config, bounding="off"))
     return whole.generate(
-        clip.features,
+        clip.speech,
         clip.motion[:1],
         clip.motion.frames,
         speaker=known_speaker(generator, clip.speaker),

@@ -106,5 +106,5 @@ def open_space(dataset: Dataset, bundle: Bundle, scratch: Path, device: str) -> 
 
 def onsets_within(clip: MotionClip, frames: int) -> NDArray:
     """Onsets (n,) of a clip's sound in its first `frames` frames, seconds."""
-    times = np.asarray(clip.features.onset_times, np.float64)
+    times = np.asarray(clip.speech["onset_times"], np.float64)
     return times[times < frames / FPS]

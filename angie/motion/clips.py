@@ -1,5 +1,6 @@
 """Clips as the motion stages see them: region motion and speech features."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,8 +9,9 @@ from numpy.typing import NDArray
 
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
-from data_prep.rates import FPS, FRAMES_PER_TOKEN, SAMPLES_PER_FRAME
-from data_prep.speech.features import SpeechFeatures, onset_rows
+from data_prep.rates import FPS, SAMPLES_PER_FRAME
+from data_prep.speech.features import Speech
+from data_prep.speech.words import slice_words
 from mraa.motion import Motion, read_motion
 
 
@@ -21,19 +23,19 @@ class MotionClip:
         name: the clip's id.
         speaker: the speaker's name.
         motion: shift (T, K, 2), cholesky (T, K, 3).
-        features: onset (S, 426) and mfcc (T, 28, 12), raw.
+        speech: its sound, words and features.
     """
 
     name: str
     speaker: str
     motion: Motion
-    features: SpeechFeatures
+    speech: Speech
 
     def __post_init__(self) -> None:
-        frames, tokens = len(self.features.mfcc), len(self.features.onset)
-        if self.motion.frames > frames or self.motion.frames > tokens * FRAMES_PER_TOKEN:
+        if self.motion.frames > self.speech.frames:
             raise BadInput(
-                f"{self.name}: {self.motion.frames} frames of motion but {frames} of sound; "
+                f"{self.name}: {self.motion.frames} frames of motion but {self.speech.frames} of "
+                "sound; "
                 "prepare the dataset again"
             )
 
@@ -48,11 +50,16 @@ def begun_later(clip: MotionClip, samples: NDArray, frames: int) -> MotionClip:
         samples: (N,) float32, its sound at 16 kHz.
         frames: left out.
     """
-    onset = onset_rows(samples[frames * SAMPLES_PER_FRAME :])
-    times = clip.features.onset_times - np.float32(frames / FPS)
-    features = SpeechFeatures(onset, clip.features.mfcc[frames:], times[times >= 0])
-    motion = clip.motion[frames:]
-    return MotionClip(f"{clip.name}+{frames}", clip.speaker, motion, features)
+    times = clip.speech["onset_times"] - np.float32(frames / FPS)
+    words = clip.speech.words
+    speech = Speech(
+        samples[frames * SAMPLES_PER_FRAME :],
+        None if words is None else slice_words(list(words), frames / FPS, math.inf),
+        features={"mfcc": clip.speech["mfcc"][frames:], "onset_times": times[times >= 0]},
+    )
+    speech["onset"]
+    speech.forget_samples()  # those of all clips would fill the memory
+    return MotionClip(f"{clip.name}+{frames}", clip.speaker, clip.motion[frames:], speech)
 
 
 def read_clips(
@@ -74,7 +81,7 @@ def read_clips(
             name=clip.id,
             speaker=clip.speaker,
             motion=read_motion(Path(folder) / f"{clip.id}.npz", estimator),
-            features=data.features(clip),
+            speech=data.speech(clip),
         )
         for clip in data.clips(split=split)
     ]

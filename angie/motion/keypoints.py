@@ -15,7 +15,7 @@ import csv
 import glob
 import hashlib
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -25,12 +25,12 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from angie.motion.clips import MotionClip
-from data_prep.dataset import write_features
+from data_prep.dataset import FeatureFiles, write_features
 from data_prep.errors import BadInput
 from data_prep.files import whole_file
 from data_prep.media.audio import read_sound
-from data_prep.rates import FPS, FRAMES_PER_TOKEN
-from data_prep.speech.features import SpeechFeatures, speech_features
+from data_prep.rates import FPS
+from data_prep.speech.features import Speech
 from mraa.motion import UNREADABLE, Motion
 
 INDEX = "clips.csv"
@@ -243,11 +243,11 @@ class KeypointDataset:
         """
         made = []
         for clip in self.clips(split):
-            features = self._features(clip.id)
+            speech = self.speech(clip.id)
             points = resample(read_points(self._motion_file(clip.id)), clip.fps, FPS)
-            frames = min(len(features.mfcc), len(features.onset) * FRAMES_PER_TOKEN)
-            motion = Motion.of_points(torch.from_numpy(points[:frames].astype(np.float32)))
-            made.append(MotionClip(clip.id, clip.speaker, motion, features))
+            kept = points[: speech.frames].astype(np.float32)
+            motion = Motion.of_points(torch.from_numpy(kept))
+            made.append(MotionClip(clip.id, clip.speaker, motion, speech))
         return made
 
     def sound(self, name: str) -> NDArray:
@@ -269,13 +269,12 @@ class KeypointDataset:
         digest = hashlib.sha256(self._sound_file(name).read_bytes()).hexdigest()
         return self.cache / f"{digest[:32]}.npz"
 
-    def _features(self, name: str) -> SpeechFeatures:
+    def speech(self, name: str) -> Speech:
+        """The recording of a clip with its features, which are kept in `cache`."""
         kept = self._kept(name)
-        if kept.is_file():
-            with np.load(kept, allow_pickle=False) as file:
-                return SpeechFeatures(file["onset"], file["mfcc"], file["onset_times"])
-        features = speech_features(self.sound(name))
-        self.cache.mkdir(parents=True, exist_ok=True)
-        with whole_file(kept, force=True) as part:
-            write_features(part, features)
-        return features
+        if not kept.is_file():
+            self.cache.mkdir(parents=True, exist_ok=True)
+            with whole_file(kept, force=True) as part:
+                write_features(part, Speech(self.sound(name)))
+        store = FeatureFiles(kept)
+        return Speech(partial(self.sound, name), frames=store.frames, store=store)

@@ -223,8 +223,8 @@ def measure(clips: Sequence[MotionClip]) -> MotionStatistics:
     low, high = np.quantile(displacement, [0.002, 0.998], axis=0)
     together = np.concatenate(poses)
     diagonal_low, diagonal_high = _diagonals(together[:, 2 * regions :], regions)
-    onset = np.concatenate([clip.features.onset for clip in clips])
-    mfcc = np.concatenate([clip.features.mfcc.reshape(-1, MFCC_COLUMNS) for clip in clips])
+    onset = np.concatenate([clip.speech["onset"] for clip in clips])
+    mfcc = np.concatenate([clip.speech["mfcc"].reshape(-1, MFCC_COLUMNS) for clip in clips])
     arrays = {
         "rest": rest,
         "delta_scale": _scale(relative, 1e-5),

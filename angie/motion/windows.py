@@ -173,14 +173,14 @@ class MotionWindows(Dataset[dict[str, Tensor]]):
 
     def _onset(self, clip: MotionClip, first: int) -> Tensor:
         token, tokens = first // FRAMES_PER_TOKEN, self.frames // FRAMES_PER_TOKEN
-        onset = torch.as_tensor(clip.features.onset[token : token + tokens])
+        onset = torch.as_tensor(clip.speech["onset"][token : token + tokens])
         return self.statistics.standard_onset(onset)
 
     def _speaker(self, clip: MotionClip, first: int) -> Tensor:
         return torch.tensor(self.statistics.place_of(clip.speaker))
 
     def _mfcc(self, clip: MotionClip, first: int) -> Tensor:
-        mfcc = torch.as_tensor(clip.features.mfcc[first : first + self.frames])
+        mfcc = torch.as_tensor(clip.speech["mfcc"][first : first + self.frames])
         return self.statistics.standard_mfcc(mfcc)
 
     def stack(self, part: str, first: int, last: int) -> Tensor:

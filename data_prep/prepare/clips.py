@@ -12,7 +12,7 @@ from data_prep.media.writer import VideoWriter
 from data_prep.prepare.spans import MIN_FRAMES, TOO_SHORT, Take
 from data_prep.rates import FPS, IMAGE_SIZE, SAMPLE_RATE, SAMPLES_PER_FRAME
 from data_prep.speaker.tracking import jumps
-from data_prep.speech.features import speech_features
+from data_prep.speech.features import Speech
 from data_prep.speech.words import Word, slice_words, write_words
 
 FOLDERS = ("video", "frames", "audio", "features", "words")
@@ -114,7 +114,7 @@ def write_clip(folder: Path, piece: Piece, words: list[Word] | None) -> None:
         words: of the whole video, with times from its first frame; None when unknown.
     """
     write_wav(folder / "audio" / f"{piece.id}.wav", piece.samples, SAMPLE_RATE)
-    write_features(folder / "features" / f"{piece.id}.npz", speech_features(piece.samples))
+    write_features(folder / "features" / f"{piece.id}.npz", Speech(piece.samples))
     write_frames(folder / "frames" / f"{piece.id}.safetensors", map(encode_frame, piece.frames))
     if words is not None:
         start = piece.first / FPS

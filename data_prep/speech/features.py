@@ -1,12 +1,18 @@
-"""Speech features: onset rows for tokens, MFCC windows for frames, and onset times."""
+"""Speech: a recording with its words and named features.
 
-from dataclasses import dataclass
+Onset rows for tokens, MFCC windows for frames, and onset times.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Protocol
 
 import numpy as np
 import soxr
+from numpy.typing import NDArray
 from scipy.fft import dct
 
 from data_prep.rates import (
+    FPS,
     SAMPLE_RATE,
     SAMPLES_PER_FRAME,
     SAMPLES_PER_TOKEN,
@@ -16,6 +22,7 @@ from data_prep.rates import (
 from data_prep.speech.rhythm import beats, onset_strength, onsets, tempogram
 from data_prep.speech.spectrum import HOP, cepstra, decibels, mel_power, percussive
 from data_prep.speech.spectrum import MFCC_HOP as CEPSTRUM_HOP
+from data_prep.speech.words import Word
 
 ONSET_SIZE = 426
 """Columns: MFCC 20, their deltas 20, onset strength 1, beat 1, tempogram 384."""
@@ -37,38 +44,150 @@ _REACH = 3
 """Video frames before and after a frame that its MFCC window covers."""
 
 
-@dataclass(frozen=True)
-class SpeechFeatures:
-    """Features of a recording, not standardised.
+Compute = Callable[["Speech"], NDArray]
+"""Computes a feature of a recording from its samples, its words or other features."""
+
+
+class FeatureStore(Protocol):
+    """Where features of a recording lie, by name."""
+
+    def read(self, name: str) -> NDArray | None:
+        """A feature, or None if it is not stored."""
+
+    def write(self, name: str, values: NDArray) -> None:
+        """Store a feature that had to be computed."""
+
+
+class Speech:
+    """A recording with its words and its features, which are computed when first asked for.
+
+    `speech["onset"]` is `(S, 426)` float32, one row for each token; `speech["mfcc"]` is
+    `(T, 28, 12)` float32, one window for each video frame, centred on it; `speech["onset_times"]`
+    is `(n,)` float32, onsets of sounds in seconds; none of them standardised. Further features
+    are added by `register_feature`.
 
     Attributes:
-        onset: `(S, 426)` float32, one row for each token.
-        mfcc: `(T, 28, 12)` float32, one window for each video frame, centred on it; of
-            `speech_features`, they share the rows in which they overlap.
-        onset_times: `(n,)` float32, onsets of sounds in seconds.
+        words: the words with their times in seconds, or None where they are not known.
+        frames: video frames that cover the recording, T.
     """
 
-    onset: np.ndarray
-    mfcc: np.ndarray
-    onset_times: np.ndarray
+    def __init__(
+        self,
+        samples: NDArray | Callable[[], NDArray] | None,
+        words: Iterable[Word] | None = None,
+        *,
+        features: Mapping[str, NDArray] | None = None,
+        frames: int | None = None,
+        store: FeatureStore | None = None,
+    ) -> None:
+        """Take a recording.
+
+        Args:
+            samples: `(N,)` float mono at 16 kHz in [-1, 1], or a function that reads them
+                whenever they are needed, or None where the features are all there is.
+            words: the words, with times from the first sample.
+            features: features that are known already, by name.
+            frames: video frames of the recording; needed unless `samples` is an array.
+            store: where other features are looked up, and kept once they were computed.
+
+        Raises:
+            ValueError: samples that are not one-dimensional or empty, or unknown length.
+        """
+        self.words = None if words is None else tuple(words)
+        self._features: dict[str, NDArray] = dict(features or {})
+        self._store = store
+        self._samples: NDArray | None = None
+        self._read = samples if callable(samples) else None
+        if samples is not None and not callable(samples):
+            self._samples = _checked(samples)
+            frames = frames_covering(len(self._samples))
+        if frames is None or frames < 1:
+            raise ValueError(f"speech of {frames} frames; give its samples or its length")
+        self.frames = frames
+        self._seconds = frames / FPS if self._samples is None else len(self._samples) / SAMPLE_RATE
+
+    @classmethod
+    def of_features(
+        cls,
+        features: Mapping[str, NDArray],
+        frames: int,
+        words: Iterable[Word] | None = None,
+    ) -> "Speech":
+        """Speech of `frames` video frames of which the features are known, but not the sound."""
+        return cls(None, words, features=features, frames=frames)
+
+    @property
+    def samples(self) -> NDArray:
+        """The sound, `(N,)` float32 mono at 16 kHz; of a dataset's clip it is read each time.
+
+        Raises:
+            ValueError: it was forgotten or never there.
+        """
+        if self._samples is None:
+            if self._read is None:
+                raise ValueError("this speech has no samples, so no other feature can be computed")
+            return _checked(self._read())
+        return self._samples
+
+    @property
+    def seconds(self) -> float:
+        """Length of the recording, or of its video frames where only features are known."""
+        return self._seconds
+
+    @property
+    def tokens(self) -> int:
+        """Motion tokens that cover the recording, S."""
+        return tokens_covering(self.frames)
+
+    def __contains__(self, name: str) -> bool:
+        """Whether a feature is known already, without being computed."""
+        return name in self._features
+
+    def __getitem__(self, name: str) -> NDArray:
+        """A feature by its name.
+
+        Raises:
+            KeyError: no such feature.
+            ValueError: it was not computed before the samples were forgotten.
+        """
+        if name in self._features:
+            return self._features[name]
+        values = None if self._store is None else self._store.read(name)
+        if values is None:
+            if name not in FEATURES:
+                raise KeyError(f"no speech feature {name!r}; known are {', '.join(FEATURES)}")
+            values = FEATURES[name](self)
+            if self._store is not None:
+                self._store.write(name, values)
+        self._features[name] = values
+        return values
+
+    def forget_samples(self) -> None:
+        """Give the memory of the samples back; features that are known stay."""
+        self._samples = self._read = None
 
 
-def speech_features(samples: np.ndarray) -> SpeechFeatures:
-    """Compute all features of a whole recording.
-
-    Args:
-        samples: `(N,)` float mono at 16 kHz in [-1, 1].
-
-    Returns:
-        features of `T = frames_covering(N)` frames and `S = tokens_covering(T)` tokens.
-
-    Raises:
-        ValueError: not one-dimensional, or empty.
-    """
+def _checked(samples: NDArray) -> NDArray:
     samples = np.asarray(samples, np.float32)
     if samples.ndim != 1 or not len(samples):
         raise ValueError(f"samples {samples.shape} must be (N,) with N > 0")
-    return SpeechFeatures(onset_rows(samples), mfcc_windows(samples), onset_times(samples))
+    return samples
+
+
+def register_feature(name: str, compute: Compute) -> None:
+    """Make a feature known by a name, as datasets and `Speech` use it.
+
+    Args:
+        name: letters, digits and underscores.
+        compute: gives the array of a recording; rows follow its time.
+
+    Raises:
+        ValueError: the name is taken, or is none.
+    """
+    if not name.isidentifier():
+        raise ValueError(f"{name!r} is no name of a feature; use letters, digits and _")
+    if FEATURES.setdefault(name, compute) is not compute:
+        raise ValueError(f"there is another speech feature {name!r} already")
 
 
 def onset_rows(samples: np.ndarray) -> np.ndarray:
@@ -134,3 +253,11 @@ def onset_times(samples: np.ndarray) -> np.ndarray:
     """Onsets of sounds in seconds, `(n,)` float32: librosa's detector at 16 kHz, hop 512."""
     rate = SAMPLE_RATE / HOP
     return (onsets(onset_strength(samples, SAMPLE_RATE), rate) / rate).astype(np.float32)
+
+
+FEATURES: dict[str, Compute] = {
+    "onset": lambda speech: onset_rows(speech.samples),
+    "mfcc": lambda speech: mfcc_windows(speech.samples),
+    "onset_times": lambda speech: onset_times(speech.samples),
+}
+"""How each feature is computed."""

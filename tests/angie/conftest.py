@@ -12,7 +12,7 @@ from angie.config import override
 from angie.generators.angie.gpt import CoSpeechGPT
 from angie.motion.clips import MotionClip
 from angie.motion.statistics import MotionStatistics, measure
-from data_prep.speech.features import SpeechFeatures
+from data_prep.speech.features import Speech
 from mraa.motion import Motion
 
 REGIONS = 4
@@ -24,7 +24,7 @@ def envelope(frames: int, rng: np.random.Generator) -> np.ndarray:
     return np.convolve(np.pad(loud, 4, mode="edge"), np.hanning(9) / 4, mode="valid")
 
 
-def features_of(level: np.ndarray, rng: np.random.Generator) -> SpeechFeatures:
+def speech_of(level: np.ndarray, rng: np.random.Generator) -> Speech:
     frames = len(level)
     tokens = -(-frames // 8)
     onset = rng.normal(size=(tokens, 426)).astype(np.float32) * 0.1
@@ -33,7 +33,8 @@ def features_of(level: np.ndarray, rng: np.random.Generator) -> SpeechFeatures:
     onset[:, 41] = rng.integers(0, 2, tokens)
     mfcc = rng.normal(size=(frames, 28, 12)).astype(np.float32) * 0.1
     mfcc += level[:, None, None].astype(np.float32)
-    return SpeechFeatures(onset, mfcc, np.zeros(0, np.float32))
+    features = {"onset": onset, "mfcc": mfcc, "onset_times": np.zeros(0, np.float32)}
+    return Speech.of_features(features, frames)
 
 
 def synthetic_clip(frames: int, seed: int, speaker: str = "ada") -> MotionClip:
@@ -53,7 +54,7 @@ def synthetic_clip(frames: int, seed: int, speaker: str = "ada") -> MotionClip:
     motion = Motion(
         torch.from_numpy(shift.astype(np.float32)), torch.from_numpy(cholesky.astype(np.float32))
     )
-    return MotionClip(f"{speaker}_{seed}", speaker, motion, features_of(level, rng))
+    return MotionClip(f"{speaker}_{seed}", speaker, motion, speech_of(level, rng))
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,6 @@
 """Dataset folders: frames in any order, sound, features and words, and the refusal of others."""
 
+import dataclasses
 import json
 import pickle
 from pathlib import Path
@@ -19,7 +20,7 @@ from data_prep.dataset import (
 )
 from data_prep.errors import BadInput
 from data_prep.media.audio import write_wav
-from data_prep.speech.features import SpeechFeatures
+from data_prep.speech.features import FEATURES, Speech
 from data_prep.speech.words import Word, read_words, slice_words, write_words
 
 
@@ -43,10 +44,13 @@ def folder(tmp_path: Path) -> Path:
         frames = [encode_frame(frame(40 * i)) for i in range(clip.n_frames)]
         write_frames(tmp_path / "frames" / f"{clip.id}.safetensors", frames)
         write_wav(tmp_path / "audio" / f"{clip.id}.wav", np.full(clip.n_frames * 640, 0.5))
-    features = SpeechFeatures(
-        np.arange(426, dtype=np.float32)[None], np.ones((5, 28, 12), np.float32), np.zeros(2)
-    )
-    write_features(tmp_path / "features" / "b_001.npz", features)
+    # eight frames, as where the last three belong to the gap before another split
+    features = {
+        "onset": np.arange(426, dtype=np.float32)[None],
+        "mfcc": np.ones((8, 28, 12), np.float32),
+        "onset_times": np.float32([0.1, 0.19, 0.21]),
+    }
+    write_features(tmp_path / "features" / "b_001.npz", Speech.of_features(features, 8))
     write_words(tmp_path / "words" / "b_001.json", [Word("hello", 0.05, 0.15)])
     return tmp_path
 
@@ -88,17 +92,44 @@ def test_sound_features_and_words_come_back(folder: Path) -> None:
     data = Dataset(folder)
     one, other = data.clips("train")[0], data.clips("test")[0]
     np.testing.assert_allclose(data.sound(one), np.full(3200, 0.5), atol=1e-4)
-    features = data.features(one)
-    assert features.onset[0, 425] == 425 and features.mfcc.shape == (5, 28, 12)
+    speech = data.speech(one)
+    assert speech["onset"][0, 425] == 425 and speech["mfcc"].shape == (5, 28, 12)
+    assert speech["onset_times"].tolist() == pytest.approx([0.1, 0.19])
+    assert speech.words == (Word("hello", 0.05, 0.15),) and speech.seconds == 0.2
+    np.testing.assert_array_equal(speech.samples, data.sound(one))
     assert data.words(one) == [Word("hello", 0.05, 0.15)]
     assert data.words(other) is None
+
+
+def test_a_feature_that_was_not_prepared_is_computed_once_and_stored(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    computed = []
+
+    def loudness(speech: Speech) -> np.ndarray:
+        computed.append(len(speech.samples))
+        return np.abs(speech.samples.reshape(speech.frames, -1)).mean(axis=1)
+
+    monkeypatch.setitem(FEATURES, "loudness", loudness)
+    data = Dataset(folder)
+    one = data.clips("train")[0]
+    first = data.speech(one)["loudness"]
+    np.testing.assert_allclose(first, np.full(5, 0.5), atol=1e-4)
+    np.testing.assert_array_equal(data.speech(one)["loudness"], first)
+    assert computed == [3200]
+    shorter = dataclasses.replace(one, n_frames=4)  # after another division into splits
+    assert len(data.speech(shorter)["loudness"]) == 4
 
 
 def test_missing_or_damaged_parts_are_told(folder: Path, tmp_path: Path) -> None:
     data = Dataset(folder)
     other = data.clips("test")[0]
     with pytest.raises(BadInput, match=r"a_000\.npz.*prepare"):
-        data.features(other)
+        data.speech(other)
+    damaged = folder / "features" / "b_001.npz"
+    damaged.write_bytes(damaged.read_bytes()[:99])
+    with pytest.raises(BadInput, match=r"b_001\.npz.*prepare"):
+        data.speech(data.clips("train")[0])["onset"]
     (folder / "frames" / "a_000.safetensors").write_bytes(b"no frames at all")
     with pytest.raises(BadInput, match=r"a_000\.safetensors.*prepare"):
         data.frames(other)

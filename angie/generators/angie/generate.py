@@ -18,7 +18,7 @@ from angie.motion.drift import MODES, Anchors, activity, bounded, integrate_boun
 from angie.motion.statistics import MotionStatistics
 from angie.motion.windows import BLENDS
 from data_prep.rates import FRAMES_PER_TOKEN, tokens_covering
-from data_prep.speech.features import SpeechFeatures
+from data_prep.speech.features import Speech
 from mraa.motion import Motion, positive, render_floor
 
 DECODINGS = ("full", "chunked", "auto")
@@ -29,7 +29,7 @@ class GestureGenerator(Protocol):
 
     def generate(
         self,
-        speech: SpeechFeatures,
+        speech: Speech,
         start: Motion,
         frames: int,
         seed: int = 0,
@@ -147,7 +147,7 @@ class AngieGenerator:
     @torch.no_grad()
     def generate(
         self,
-        speech: SpeechFeatures,
+        speech: Speech,
         start: Motion,
         frames: int,
         seed: int = 0,
@@ -170,20 +170,17 @@ class AngieGenerator:
                 `speaker`. Joint models alone tell styles apart.
 
         Raises:
-            ValueError: too few features for `frames`, or a start pose of other regions.
+            ValueError: speech of fewer than `frames` frames, or a start pose of other regions.
             BadInput: an unknown speaker or style.
         """
         tokens = tokens_covering(frames)
-        if frames < 1 or len(speech.mfcc) < frames or len(speech.onset) < tokens:
-            raise ValueError(
-                f"{frames} frames need as many MFCC windows and {tokens} onset features, "
-                f"not {len(speech.mfcc)} and {len(speech.onset)}"
-            )
+        if not 1 <= frames <= speech.frames:
+            raise ValueError(f"{frames} frames need as many of speech, not {speech.frames}")
         if start.frames != 1 or start.regions != self.statistics.regions:
             raise ValueError(f"the start pose is one frame of {self.statistics.regions} regions")
         first = start.vector()[0].detach().cpu().float()
-        onset = torch.as_tensor(speech.onset[:tokens])
-        mfcc = torch.as_tensor(speech.mfcc[:frames])
+        onset = torch.as_tensor(speech["onset"][:tokens])
+        mfcc = torch.as_tensor(speech["mfcc"][:frames])
         like = speaker if style is None else style
         who = None if like is None else self.statistics.place_of(like)
         if isinstance(self.vq, DirectMotion):

@@ -10,14 +10,16 @@ from angie.metrics.autoencoder import AutoencoderTraining, MotionAutoencoder, tr
 from angie.metrics.autoencoder import windows as cut
 from angie.motion.clips import MotionClip
 from angie.motion.statistics import measure
+from data_prep.speech.features import Speech
 from data_prep.speech.synchrony import smooth_minima, steps
 
 
 def heard(clip: MotionClip) -> MotionClip:
     """The clip with onsets at the beats of its own motion."""
     beats = smooth_minima(steps(points(clip.motion)[:, :2]).mean(1), 25)
-    features = dataclasses.replace(clip.features, onset_times=beats.astype(np.float32))
-    return dataclasses.replace(clip, features=features)
+    features = {name: clip.speech[name] for name in ("onset", "mfcc")}
+    features["onset_times"] = beats.astype(np.float32)
+    return dataclasses.replace(clip, speech=Speech.of_features(features, clip.speech.frames))
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ def test_ground_truth_is_what_was_recorded(space):
         assert performance.motion is not None and performance.clip == clip.name
         assert torch.equal(performance.motion.vector(), clip.motion.vector())
         assert torch.equal(performance.truth.vector(), clip.motion.vector())
-        assert np.array_equal(performance.onsets, clip.features.onset_times.astype(np.float64))
+        assert np.array_equal(performance.onsets, clip.speech["onset_times"].astype(np.float64))
 
 
 def test_the_motionless_speaker_holds_the_first_pose(space):
@@ -53,7 +53,7 @@ def test_sound_beyond_shorter_motion_is_cut(space):
     performance = rows.perform(clip, clip.motion[:100])
     assert performance.motion.frames == performance.truth.frames == 100
     assert (performance.onsets < 4).all()
-    assert len(performance.onsets) < len(clip.features.onset_times)
+    assert len(performance.onsets) < len(clip.speech["onset_times"])
 
 
 def test_nearest_audio_finds_the_clip_that_has_the_same_sound(space):

@@ -101,7 +101,7 @@ def test_the_index_and_the_arrays_are_read(data, tmp_path):
     assert clip.motion.shift.shape == (149, 3, 2) and not clip.motion.has_extent
     assert joints.clips("test")[0].n_frames == 149
     again = KeypointDataset(data, tmp_path / "cache").motion_clips("test")[0]
-    assert np.array_equal(again.features.onset, clip.features.onset)
+    assert np.array_equal(again.speech["onset"], clip.speech["onset"])
 
 
 def test_resampling_keeps_smooth_motion():

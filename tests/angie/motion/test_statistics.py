@@ -5,7 +5,7 @@ import torch
 from angie.motion.clips import MotionClip
 from angie.motion.statistics import BEAT_COLUMN, MotionStatistics, measure
 from data_prep.errors import BadInput
-from data_prep.speech.features import SpeechFeatures
+from data_prep.speech.features import Speech
 from mraa.motion import Motion
 
 
@@ -14,10 +14,12 @@ def still_but_one(speaker: str, offset: float) -> MotionClip:
     shift = torch.full((16, 6, 2), offset)
     shift[1::2, 2, 0] += 1
     cholesky = torch.full((16, 6, 3), 0.1)
-    sound = SpeechFeatures(
-        np.ones((2, 426), np.float32), np.ones((16, 28, 12), np.float32), np.zeros(0, np.float32)
-    )
-    return MotionClip(speaker, speaker, Motion(shift, cholesky), sound)
+    features = {
+        "onset": np.ones((2, 426), np.float32),
+        "mfcc": np.ones((16, 28, 12), np.float32),
+    }
+    speech = Speech.of_features(features, 16)
+    return MotionClip(speaker, speaker, Motion(shift, cholesky), speech)
 
 
 def test_scales_of_a_hand_worked_motion():
@@ -44,7 +46,7 @@ def test_an_unknown_speaker_is_refused_with_the_nearest_name(statistics):
 
 
 def test_onset_is_standardised_and_clamped_but_beats_stay_raw(clips, statistics):
-    onset = torch.from_numpy(np.concatenate([clip.features.onset for clip in clips]))
+    onset = torch.from_numpy(np.concatenate([clip.speech["onset"] for clip in clips]))
     standard = statistics.standard_onset(onset)
     assert torch.equal(standard[:, BEAT_COLUMN], onset[:, BEAT_COLUMN])
     others = torch.cat([standard[:, :BEAT_COLUMN], standard[:, BEAT_COLUMN + 1 :]], dim=1)
@@ -54,7 +56,7 @@ def test_onset_is_standardised_and_clamped_but_beats_stay_raw(clips, statistics)
 
 
 def test_mfcc_is_standardised_per_coefficient(clips, statistics):
-    mfcc = torch.from_numpy(np.concatenate([clip.features.mfcc for clip in clips]))
+    mfcc = torch.from_numpy(np.concatenate([clip.speech["mfcc"] for clip in clips]))
     standard = statistics.standard_mfcc(mfcc)
     assert standard.mean((0, 1)).abs().max() < 1e-3
     assert (standard.std((0, 1)) - 1).abs().max() < 1e-3

@@ -10,7 +10,7 @@ from angie.generators.angie.train_vq import VQTraining
 from angie.motion.clips import begun_later
 from angie.motion.windows import MotionWindows, other_grids
 from data_prep.errors import BadInput
-from data_prep.speech.features import onset_rows
+from data_prep.speech.features import Speech, onset_rows
 from mraa.motion import Motion
 
 PARTS = ("poses", "onset", "mfcc")
@@ -27,8 +27,8 @@ def test_a_window_and_its_sound_belong_together(make_clip, statistics):
     item = MotionWindows([clip], statistics, PARTS)[1]
     vector = clip.motion.vector()
     assert torch.equal(item["poses"], vector[31:128])
-    onset = torch.from_numpy(clip.features.onset)
-    mfcc = torch.from_numpy(clip.features.mfcc)
+    onset = torch.from_numpy(clip.speech["onset"])
+    mfcc = torch.from_numpy(clip.speech["mfcc"])
     assert torch.equal(item["onset"], statistics.standard_onset(onset[4:16]))
     assert torch.equal(item["mfcc"], statistics.standard_mfcc(mfcc[32:128]))
 
@@ -56,7 +56,7 @@ def test_clips_that_are_too_short_are_bad_input(make_clip, statistics):
 def test_more_motion_than_sound_is_bad_input(make_clip):
     long, short = make_clip(100, 0), make_clip(90, 1)
     with pytest.raises(BadInput, match="ada_0: 100 frames of motion but 90"):
-        type(long)(long.name, long.speaker, long.motion, short.features)
+        type(long)(long.name, long.speaker, long.motion, short.speech)
 
 
 def test_still_windows_are_thinned_out(make_clip, statistics):
@@ -96,17 +96,17 @@ def test_other_grids_begin_clips_later(make_clip):
     assert [clip.name for clip in made] == ["ada_0+2", "ada_1+2", "ada_1+4", "ada_1+6"]
     later, clip = made[2], clips[1]
     assert torch.equal(later.motion.vector(), clip.motion.vector()[4:])
-    assert np.array_equal(later.features.mfcc, clip.features.mfcc[4:])
-    assert np.array_equal(later.features.onset, onset_rows(sound[4 * 640 :]))
+    assert np.array_equal(later.speech["mfcc"], clip.speech["mfcc"][4:])
+    assert np.array_equal(later.speech["onset"], onset_rows(sound[4 * 640 :]))
     assert later.speaker == clip.speaker and len(other_grids(clips, sound_of, 8)) == 10
 
 
 def test_onset_times_count_from_where_a_clip_begins(make_clip):
     clip = make_clip(250, 0)
-    features = dataclasses.replace(clip.features, onset_times=np.float32([0.1, 0.5, 2.0]))
-    clip = dataclasses.replace(clip, features=features)
+    features = {"mfcc": clip.speech["mfcc"], "onset_times": np.float32([0.1, 0.5, 2.0])}
+    clip = dataclasses.replace(clip, speech=Speech.of_features(features, 250))
     later = begun_later(clip, np.zeros(250 * 640, np.float32), 6)
-    assert later.features.onset_times.tolist() == pytest.approx([0.26, 1.76])
+    assert later.speech["onset_times"].tolist() == pytest.approx([0.26, 1.76])
 
 
 @pytest.mark.parametrize("grids", [0, 3, 16])

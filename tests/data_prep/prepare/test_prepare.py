@@ -76,9 +76,9 @@ def test_clips_keep_sound_and_picture_together(tmp_path: Path, person: Draw) -> 
         for k in seen:
             window = np.abs(sound[k * 640 - 3200 : k * 640 + 3200])
             assert abs(int(np.argmax(window)) - 3200) < 160
-        features = data.features(clip)
-        assert len(features.mfcc) == clip.n_frames
-        assert len(features.onset) == -(-clip.n_frames // 8)
+        speech = data.speech(clip)
+        assert len(speech["mfcc"]) == clip.n_frames
+        assert len(speech["onset"]) == -(-clip.n_frames // 8)
         shown = sum(1 for _ in read_frames(data.path / "video" / f"{clip.id}.mp4"))
         assert shown == clip.n_frames + (25 if clip is first else 0)
     assert [(w.word, w.start) for w in data.words(first) or []] == [("one", 1.2)]

@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 import soxr
 
-from data_prep.speech.features import mfcc_windows, onset_rows, onset_times, speech_features
+from data_prep.speech.features import (
+    Speech,
+    mfcc_windows,
+    onset_rows,
+    onset_times,
+    register_feature,
+)
 from data_prep.speech.spectrum import cepstra
+from data_prep.speech.words import Word
 
 
 def bursts(seconds: float, every: float = 0.5, seed: int = 0) -> np.ndarray:
@@ -23,18 +30,20 @@ def bursts(seconds: float, every: float = 0.5, seed: int = 0) -> np.ndarray:
     [(1, 1, 1), (640, 1, 1), (641, 2, 1), (5120, 8, 1), (5121, 9, 2), (176000, 275, 35)],
 )
 def test_sizes_cover_the_sound(samples: int, frames: int, tokens: int) -> None:
-    features = speech_features(bursts(12)[:samples])
-    assert features.onset.shape == (tokens, 426)
-    assert features.mfcc.shape == (frames, 28, 12)
-    assert features.onset.dtype == features.mfcc.dtype == features.onset_times.dtype == np.float32
-    assert np.isfinite(features.onset).all() and np.isfinite(features.mfcc).all()
+    speech = Speech(bursts(12)[:samples])
+    assert speech["onset"].shape == (tokens, 426)
+    assert speech["mfcc"].shape == (frames, 28, 12)
+    assert (
+        speech["onset"].dtype == speech["mfcc"].dtype == speech["onset_times"].dtype == np.float32
+    )
+    assert np.isfinite(speech["onset"]).all() and np.isfinite(speech["mfcc"]).all()
 
 
 def test_silence_is_finite_and_has_no_beats() -> None:
-    features = speech_features(np.zeros(48000, np.float32))
-    assert np.isfinite(features.onset).all() and np.isfinite(features.mfcc).all()
-    assert not features.onset[:, 40:42].any()
-    assert len(features.onset_times) == 0
+    speech = Speech(np.zeros(48000, np.float32))
+    assert np.isfinite(speech["onset"]).all() and np.isfinite(speech["mfcc"]).all()
+    assert not speech["onset"][:, 40:42].any()
+    assert len(speech["onset_times"]) == 0
 
 
 def test_onset_columns_are_in_the_stated_order() -> None:
@@ -98,7 +107,7 @@ def test_onset_times_are_those_of_librosa() -> None:
 
 def test_features_do_not_load_librosa() -> None:
     code = (
-        "import sys, numpy, data_prep.speech.features as f; f.speech_features(numpy.ones(9999)); "
+        "import sys, numpy, data_prep.speech.features as f; f.Speech(numpy.ones(9999))['onset']; "
     )
     code += "assert not {'librosa', 'numba', 'torch'} & set(sys.modules), sys.modules.keys()"
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -158,4 +167,26 @@ def test_onset_times_are_where_the_bursts_are() -> None:
 def test_bad_shapes_are_refused() -> None:
     for bad in (np.zeros(0, np.float32), np.zeros((100, 2), np.float32)):
         with pytest.raises(ValueError, match="must be"):
-            speech_features(bad)
+            Speech(bad)
+
+
+def test_features_are_computed_once_when_first_asked_for() -> None:
+    speech = Speech(bursts(2), [Word("one", 0.0, 0.5)])
+    assert (speech.frames, speech.tokens, speech.seconds) == (50, 7, 2.0)
+    assert speech.words == (Word("one", 0.0, 0.5),) and "mfcc" not in speech
+    assert speech["mfcc"] is speech["mfcc"]
+    speech.forget_samples()
+    assert len(speech["mfcc"]) == 50 and "mfcc" in speech
+    with pytest.raises(ValueError, match="no samples"):
+        speech["onset"]
+    with pytest.raises(KeyError, match="'tone'; known are onset, mfcc, onset_times"):
+        speech["tone"]
+    with pytest.raises(ValueError, match="0 frames"):
+        Speech.of_features({}, 0)
+
+
+def test_names_of_features_are_not_taken_twice() -> None:
+    with pytest.raises(ValueError, match="'mfcc'"):
+        register_feature("mfcc", len)
+    with pytest.raises(ValueError, match="no name"):
+        register_feature("a/b", len)

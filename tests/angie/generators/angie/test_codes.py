@@ -68,7 +68,7 @@ def test_the_two_ways_of_decoding_are_compared_on_long_clips(vq, clips, statisti
     errors = decoding_errors(vq, clips[:2], channels)
     assert set(errors) == {"full", "chunked"} and errors["full"] != errors["chunked"]
     short = MotionWindows(clips[:1], statistics).clips[0]
-    short = type(short)(short.name, short.speaker, short.motion[:150], short.features)
+    short = type(short)(short.name, short.speaker, short.motion[:150], short.speech)
     assert decoding_errors(vq, [short], channels) == {}
 
 

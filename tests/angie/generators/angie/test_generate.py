@@ -15,7 +15,7 @@ from angie.generators.angie.tokenizer import VQConfig, VQMotionExtractor
 from angie.motion.drift import activity
 from angie.motion.statistics import measure
 from data_prep.errors import BadInput
-from data_prep.speech.features import SpeechFeatures
+from data_prep.speech.features import Speech
 from mraa.motion import Motion
 
 
@@ -37,8 +37,8 @@ def configured(generator: AngieGenerator, **changes) -> AngieGenerator:
 
 
 @pytest.fixture(scope="module")
-def speech(make_clip) -> SpeechFeatures:
-    return make_clip(275, 5).features
+def speech(make_clip) -> Speech:
+    return make_clip(275, 5).speech
 
 
 @pytest.fixture(scope="module")
@@ -46,12 +46,12 @@ def start(make_clip) -> Motion:
     return make_clip(8, 1).motion[:1]
 
 
-def silence(frames: int) -> SpeechFeatures:
-    return SpeechFeatures(
-        np.zeros((-(-frames // 8), 426), np.float32),
-        np.zeros((frames, 28, 12), np.float32),
-        np.zeros(0, np.float32),
-    )
+def silence(frames: int) -> Speech:
+    features = {
+        "onset": np.zeros((-(-frames // 8), 426), np.float32),
+        "mfcc": np.zeros((frames, 28, 12), np.float32),
+    }
+    return Speech.of_features(features, frames)
 
 
 @pytest.mark.parametrize("frames", [1, 7, 8, 9, 96, 275])
@@ -81,7 +81,7 @@ def test_greedy_follows_the_sound(generator, speech, start, make_clip):
     greedy = configured(generator, sampling=Sampling(method="greedy"))
     one = greedy.generate(speech, start, 200, seed=1).vector()
     assert torch.equal(one, greedy.generate(speech, start, 200, seed=2).vector())
-    other = greedy.generate(make_clip(275, 8).features, start, 200).vector()
+    other = greedy.generate(make_clip(275, 8).speech, start, 200).vector()
     assert not torch.allclose(one, other)
 
 
@@ -207,7 +207,7 @@ def test_the_blend_reaches_decoder_and_refiner(generator, speech, start, monkeyp
 
 
 def test_seed_codes_begin_the_sequence(generator, speech, start):
-    onset = torch.as_tensor(speech.onset)
+    onset = torch.as_tensor(speech["onset"])
     begin = torch.tensor([[1, 2, 3], [4, 5, 6]])
     assert torch.equal(generator._codes(onset, 0, begin)[:, :3], begin)
     assert torch.equal(generator._codes(onset, 0, None)[:, 0], generator.vq.start_codes())
@@ -303,7 +303,7 @@ def test_without_codes_motion_is_regressed_from_the_sound(generator, speech, sta
     assert motion.frames == 275 and torch.equal(motion.vector()[0], start.vector()[0])
     assert without.codes_of(make_clip(96, 1).motion) is None
     assert torch.equal(without.generate(speech, start, 275, seed=2).vector(), motion.vector())
-    onset = without.statistics.standard_onset(torch.as_tensor(speech.onset))
+    onset = without.statistics.standard_onset(torch.as_tensor(speech["onset"]))
     window = direct(onset[None, :12])[0]
     assert torch.allclose(direct.predict(onset[:12]), window, atol=1e-5)
     assert torch.allclose(direct.predict(onset)[:48], window[:48], atol=1e-4)
@@ -327,9 +327,9 @@ def test_points_without_extent(generator, clips):
     gpt = CoSpeechGPT(dataclasses.replace(generator.gpt.config, streams=1))
     refiner = Refiner(dataclasses.replace(generator.refiner.config, streams=1))
     made = AngieGenerator(vq, gpt, refiner, statistics, GenerationConfig(bounding="auto"))
-    motion = made.generate(points[0].features, points[0].motion[:1], 250)
+    motion = made.generate(points[0].speech, points[0].motion[:1], 250)
     assert motion.shift.shape == (250, 4, 2) and not motion.has_extent
-    assert made.generate(points[0].features, points[0].motion[:1], 250, speaker="ada").frames == 250
+    assert made.generate(points[0].speech, points[0].motion[:1], 250, speaker="ada").frames == 250
     with pytest.raises(ValueError, match="not trained on one another"):
         dataclasses.replace(made, gpt=generator.gpt)
 
@@ -349,7 +349,7 @@ def test_windows_of_the_gpt_begin_where_seams_are_looked_for(
         return advance(codes, *rest)
 
     monkeypatch.setattr(hopping.gpt, "advance", watched)
-    onset = torch.as_tensor(speech.onset)
+    onset = torch.as_tensor(speech["onset"])
     hopping._codes(onset, 0, None)
     begun = [step for step, codes in enumerate(seen, 1) if codes > 1]
     assert len(begun) > 1 and (borders(hopping, 8 * len(onset))["gpt"] / 8).tolist() == begun
