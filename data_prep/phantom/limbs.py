@@ -59,7 +59,7 @@ def capsule(x: Array, y: Array, a: NDArray, b: NDArray, ra: NDArray, rb: NDArray
     ax, ay = _column(a[:, 0], axes), _column(a[:, 1], axes)
     dx, dy = _column(b[:, 0] - a[:, 0], axes), _column(b[:, 1] - a[:, 1], axes)
     ra, slope = _column(ra, axes), _column(rb - ra, axes)
-    square: Array = np.maximum(dx * dx + dy * dy, np.float32(1e-3))
+    square = np.maximum(dx * dx + dy * dy, np.float32(1e-3))
     px, py = x - ax, y - ay
     along = (px * dx + py * dy) / square
     held = np.minimum(np.maximum(along, 0), 1)
@@ -68,7 +68,7 @@ def capsule(x: Array, y: Array, a: NDArray, b: NDArray, ra: NDArray, rb: NDArray
     radius = ra + held * slope
     share = 1 / radius
     across = (py * dx - px * dy) * share / np.sqrt(square)
-    return Capsule(reach - radius, along, ox * share, oy * share, across)
+    return Capsule(reach - radius, along, ox * share, oy * share, across)  # type: ignore[arg-type]  # float64 by stubs
 
 
 def shading(nx: Array, ny: Array, light: tuple[float, float, float], ambient: float) -> Array:
