@@ -21,7 +21,7 @@ PLATE_SIGMA = 0.005
 """Standard deviation of the thin-plate coefficients."""
 
 
-PLATE_POINTS = 5
+TPS_POINTS = 5
 """Control points a side, spread over [-1, 1]."""
 
 
@@ -56,7 +56,7 @@ class ThinPlate:
 
         Closed form; the sign of a zero offset counts as 0. Differentiable in the points.
         """
-        control = coordinate_grid(PLATE_POINTS, PLATE_POINTS, coordinates.device).view(1, -1, 2)
+        control = coordinate_grid(TPS_POINTS, TPS_POINTS, coordinates.device).view(1, -1, 2)
         offset = coordinates[:, :, None] - control[:, None]  # (B, n, 25, 2)
         distance = offset.abs().sum(-1)
         slope = 2 * distance * torch.log(distance + 1e-6) + distance**2 / (distance + 1e-6)
@@ -66,7 +66,7 @@ class ThinPlate:
 
 def _basis(coordinates: Tensor) -> Tensor:
     """Radial terms `d^2 log(d + 1e-6)`, d the L1 distance: (..., 2) to (..., 25)."""
-    control = coordinate_grid(PLATE_POINTS, PLATE_POINTS, coordinates.device).view(-1, 2)
+    control = coordinate_grid(TPS_POINTS, TPS_POINTS, coordinates.device).view(-1, 2)
     distance = (coordinates[..., None, :] - control).abs().sum(-1)
     return distance**2 * torch.log(distance + 1e-6)
 
@@ -77,19 +77,19 @@ def _grid_basis(height: int, width: int, device: torch.device) -> Tensor:
     return _basis(coordinate_grid(height, width, device).view(-1, 2))
 
 
-PLATE_NUMBERS = 6 + PLATE_POINTS**2
+TPS_NUMBERS = 6 + TPS_POINTS**2
 """Random numbers that make a transform."""
 
 
 def thin_plate(noise: Tensor) -> ThinPlate:
-    """Transforms from standard normal numbers (B, `PLATE_NUMBERS`)."""
+    """Transforms from standard normal numbers (B, `TPS_NUMBERS`)."""
     affine = torch.eye(2, 3, device=noise.device) + AFFINE_SIGMA * noise[:, :6].unflatten(1, (2, 3))
     return ThinPlate(affine, PLATE_SIGMA * noise[:, None, 6:])
 
 
 def random_thin_plate(batch: int, device: torch.device | None = None) -> ThinPlate:
     """Draw B transforms from torch's current random state."""
-    return thin_plate(torch.randn(batch, PLATE_NUMBERS, device=device))
+    return thin_plate(torch.randn(batch, TPS_NUMBERS, device=device))
 
 
 @dataclass(frozen=True)

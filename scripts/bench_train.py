@@ -49,7 +49,7 @@ from data_prep.dataset import (
 from data_prep.media.photo import read_photo
 from data_prep.rates import FPS
 from mraa.flow import Flow
-from mraa.losses import PLATE_NUMBERS, equivariance_of, thin_plate
+from mraa.losses import TPS_NUMBERS, equivariance_of, thin_plate
 from mraa.perceptual import PerceptualPyramid, bands_distance
 from mraa.regions import Regions
 from mraa.renderer import Renderer
@@ -75,7 +75,7 @@ def plain_loss(
     weights: RendererTraining,
     compare: PerceptualPyramid,
     frames: Tensor,
-    plate: Tensor,
+    tps_noise: Tensor,
 ) -> Tensor:
     """The loss of MRAA as a reader would write it, float32 and channels first."""
     source, driving = (x.permute(0, 3, 1, 2).float().contiguous() / 255 for x in frames.unbind(1))
@@ -87,7 +87,7 @@ def plain_loss(
         renderer.estimator,
         driving,
         driving_regions,
-        thin_plate(plate),
+        thin_plate(tps_noise),
         align_corners=renderer.config.align_corners,
     )
     loss = plain_perceptual(compare, prediction, driving)
@@ -129,18 +129,18 @@ class Bench:
         self.objective = Objective(self.renderer, self.weights, self.compare)
         self.optimizer = adam(self.renderer, self.weights, fused=not self.plain)
         self.frames = torch.stack([pair_of_photo(i) for i in range(batch)]).to(self.device)
-        self.plate = torch.randn(batch, PLATE_NUMBERS).to(self.device)
+        self.tps_noise = torch.randn(batch, TPS_NUMBERS).to(self.device)
 
     def mixed(self) -> Any:
         """Autocast to bfloat16, where this way and the machine have it."""
         return torch.autocast(self.device.type, torch.bfloat16) if self.half else nullcontext()
 
-    def loss(self, frames: Tensor, plate: Tensor) -> Tensor:
+    def loss(self, frames: Tensor, tps_noise: Tensor) -> Tensor:
         """The loss of a batch."""
         if self.plain:
-            return plain_loss(self.renderer, self.weights, self.compare, frames, plate)
+            return plain_loss(self.renderer, self.weights, self.compare, frames, tps_noise)
         with self.mixed():
-            terms = self.objective(frames, plate)
+            terms = self.objective(frames, tps_noise)
         terms.pop("l1")
         return torch.stack(list(terms.values())).sum()
 
@@ -152,7 +152,7 @@ class Bench:
 
     def step(self) -> float:
         """One step of training; the loss."""
-        loss = self.loss(self.frames, self.plate)
+        loss = self.loss(self.frames, self.tps_noise)
         loss.backward()
         self.update()
         return loss.item()
@@ -203,7 +203,7 @@ def parts(bench: Bench) -> Iterator[tuple[str, Callable[[], Tensor]]]:
         return found.shift.sum() + found.affine.sum()
 
     def equivariance() -> Tensor:
-        transform, corners = thin_plate(bench.plate), renderer.config.align_corners
+        transform, corners = thin_plate(bench.tps_noise), renderer.config.align_corners
         terms = equivariance_of(
             renderer.estimator, driving, leaves(b), transform, align_corners=corners
         )
@@ -267,7 +267,7 @@ def loading(bench: Bench, workers: int, steps: int) -> tuple[float, float]:
         pass
 
     def train(pair: TrainingPair) -> None:
-        bench.loss(pair.frames, pair.plate).backward()
+        bench.loss(pair.frames, pair.tps_noise).backward()
         bench.update()
 
     rates = []
@@ -298,7 +298,7 @@ def measure(name: str, way: str, device: str, batch: int, rounds: int) -> dict[s
     if way != "mixed":
         return result
     rows = [(text, *part_seconds(bench, forward, rounds)) for text, forward in parts(bench)]
-    bench.loss(bench.frames, bench.plate).backward()
+    bench.loss(bench.frames, bench.tps_noise).backward()
     kept = {p: p.grad.clone() for p in bench.renderer.parameters() if p.grad is not None}
 
     def update() -> None:

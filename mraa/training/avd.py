@@ -129,17 +129,12 @@ def train_avd(
     run = Run(folder, "avd", steps=steps, seed=seed, config=run_config, resume=resume)
     avd = make_avd(config)
     objective = _Objective(avd, config.affine_mode, training.scale)
-    model, optimizer = run.setup(objective, schedule.adam(avd))
+    model = run.add("avd", objective, schedule.adam(avd), schedule.milestone_steps(items))
     batches = run.batches(pairs, schedule.batch)
-    model.train()
     for _ in run.steps():
-        run.rate(optimizer, schedule.rate, schedule.milestone_steps(items))
         terms = model(next(batches))
         loss = terms["shift"] + terms["affine"]
-        run.backward(loss)
-        run.clip(model, optimizer, schedule.clip)
-        optimizer.step()
-        optimizer.zero_grad()
+        run.update(loss, "avd", clip=schedule.clip)
         run.log(loss=loss, **terms)
     return avd.eval().cpu()
 

@@ -1,13 +1,12 @@
 """Checkpoints of training: tensors and a few words in one safetensors file, nothing pickled.
 
-Moving average of a model's weights, which is steadier than the weights of any one step.
-
 How long a motion stage trains, at what rate, and when its best weights were.
 """
 
-import copy
 import json
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -19,86 +18,165 @@ from torch import Tensor, nn
 from data_prep.errors import BadInput
 from data_prep.files import whole_file
 
+FORMAT = "2"
+"""Several named models and optimisers; before, a file held one of each."""
+
 
 class Scaler(Protocol):
     """The loss scale of 16-bit training, `torch.amp.GradScaler`."""
 
     def state_dict(self) -> dict[str, Any]:
-        """Numbers alone."""
+        """Plain numbers."""
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Take over what `state_dict` gave."""
 
 
+@dataclass
+class Best:
+    """The lowest score of a run so far and the weights that had it.
+
+    Attributes:
+        score: the lowest.
+        latest: the score of the last evaluation.
+        age: evaluations since the lowest.
+        patience: evaluations without improvement after which the run ends; 0 for never.
+        weights: state of each model by its name, when the score was lowest.
+    """
+
+    score: float = math.inf
+    latest: float = math.inf
+    age: int = 0
+    patience: int = 0
+    weights: dict[str, dict[str, Tensor]] = field(default_factory=dict)
+
+    def consider(self, score: float, models: Mapping[str, nn.Module]) -> None:
+        """Copy the present weights if the score is lower than all before."""
+        self.latest, self.age = score, self.age + 1
+        if score < self.score:
+            self.score, self.age = score, 0
+            self.weights = {name: _copy(model.state_dict()) for name, model in models.items()}
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether the score has not improved for `patience` evaluations."""
+        return 0 < self.patience <= self.age
+
+
 def save_checkpoint(
     path: Path,
-    model: nn.Module,
-    optimizer: torch.optim.Optimizer,
+    models: Mapping[str, nn.Module],
+    optimizers: Mapping[str, torch.optim.Optimizer],
     step: int,
     identity: str = "",
     scaler: Scaler | None = None,
+    best: Best | None = None,
 ) -> None:
-    """Write model, optimiser, step, identity and loss scale as one safetensors file."""
-    tensors = {f"model.{k}": v.detach().clone() for k, v in model.state_dict().items()}
-    for number, state in optimizer.state_dict()["state"].items():
-        for name, value in state.items():
-            tensors[f"optimizer.{number}.{name}"] = torch.as_tensor(value).detach().clone()
+    """Write models and optimisers by name, and what belongs to the run, as one safetensors file.
+
+    Args:
+        path: of the file, replaced whole or not at all.
+        models: names have no dot.
+        optimizers: names are those of their models.
+        step: number of steps done.
+        identity: what the run is trained on.
+        scaler: of 16-bit training.
+        best: best weights so far.
+    """
+    best = best or Best()
+    tensors = {f"model.{n}.{k}": v for n, m in models.items() for k, v in m.state_dict().items()}
+    tensors |= {f"best.{n}.{k}": v for n, state in best.weights.items() for k, v in state.items()}
+    for name, optimizer in optimizers.items():
+        for number, state in optimizer.state_dict()["state"].items():
+            for key, value in state.items():
+                tensors[f"optimizer.{name}.{number}.{key}"] = torch.as_tensor(value)
+    numbers = {k: getattr(best, k) for k in ("score", "latest", "age", "patience")}
+    notes = {"format": FORMAT, "step": str(step), "identity": identity, "best": json.dumps(numbers)}
+    if scaler is not None:
+        notes["scaler"] = json.dumps(scaler.state_dict())
     with whole_file(path, force=True) as part:
-        notes = {"step": str(step), "identity": identity}
-        if scaler is not None:
-            notes["scaler"] = json.dumps(scaler.state_dict())
-        save_file({k: v.contiguous().cpu() for k, v in tensors.items()}, part, notes)
+        save_file({k: v.contiguous().cpu() for k, v in _copy(tensors).items()}, part, notes)
 
 
-def checkpoint_identity(path: Path) -> str:
-    """What a checkpoint was trained on.
+class Checkpoint:
+    """A file that `save_checkpoint` wrote, to restore a run from.
 
-    Raises:
-        BadInput: the file is damaged.
-    """
-    try:
-        with safe_open(path, framework="pt") as file:
-            return str((file.metadata() or {}).get("identity", ""))
-    except SafetensorError as error:
-        raise BadInput(f"{path}: the checkpoint is damaged; train without --resume") from error
-
-
-def load_checkpoint(
-    path: Path,
-    model: nn.Module,
-    optimizer: torch.optim.Optimizer,
-    scaler: Scaler | None = None,
-) -> int:
-    """Restore model, optimiser and loss scale; returns the number of steps done.
+    Attributes:
+        step: number of steps done.
+        identity: what the run was trained on.
+        best: best weights so far, on the CPU.
 
     Raises:
-        BadInput: the file is damaged or belongs to another architecture.
+        BadInput: the file is damaged or of an earlier version.
     """
-    states: dict[int, dict[str, Tensor]] = {}
-    weights: dict[str, Tensor] = {}
-    try:
-        with safe_open(path, framework="pt") as file:
-            notes = file.metadata()
-            step = int(notes["step"])
-            for key in file.keys():  # noqa: SIM118 (not a dict)
-                kind, _, name = key.partition(".")
-                if kind == "model":
-                    weights[name] = file.get_tensor(key)
-                else:
-                    number, _, field = name.partition(".")
-                    states.setdefault(int(number), {})[field] = file.get_tensor(key)
-        model.load_state_dict(weights)
-        if scaler is not None and "scaler" in notes:
-            scaler.load_state_dict(json.loads(notes["scaler"]))
-    except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
-        raise BadInput(
-            f"{path}: a checkpoint of another architecture or damaged; train without --resume"
-        ) from error
-    parameters = [p for group in optimizer.param_groups for p in group["params"]]
-    laid = {n: _laid_like(state, parameters[n]) for n, state in states.items()}
-    groups = optimizer.state_dict()["param_groups"]
-    optimizer.load_state_dict({"state": laid, "param_groups": groups})
-    return step
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+        self._tensors: dict[str, Tensor] = {}
+        try:
+            with safe_open(path, framework="pt") as file:
+                self._notes = dict(file.metadata() or {})
+                if self._notes.get("format") != FORMAT:
+                    raise BadInput(
+                        f"{path}: the checkpoint is of another version; train without --resume"
+                    )
+                for key in file.keys():  # noqa: SIM118 (not a dict)
+                    self._tensors[key] = file.get_tensor(key)
+            self.step, self.identity = int(self._notes["step"]), self._notes["identity"]
+            self.best = Best(**json.loads(self._notes["best"]))
+        except (SafetensorError, KeyError, TypeError, ValueError) as error:
+            raise BadInput(f"{path}: the checkpoint is damaged; train without --resume") from error
+        for name in {key.split(".")[1] for key in self._tensors if key.startswith("best.")}:
+            self.best.weights[name] = self._under(f"best.{name}.")
+
+    @property
+    def names(self) -> set[str]:
+        """Names of the models."""
+        return {key.split(".")[1] for key in self._tensors if key.startswith("model.")}
+
+    def restore(
+        self, name: str, model: nn.Module, optimizer: torch.optim.Optimizer | None = None
+    ) -> None:
+        """Restore a model and its optimiser.
+
+        Raises:
+            BadInput: the file holds another architecture.
+        """
+        try:
+            model.load_state_dict(self._under(f"model.{name}."))
+        except RuntimeError as error:
+            raise self.unlike() from error
+        if optimizer is None:
+            return
+        states: dict[int, dict[str, Tensor]] = {}
+        for key, value in self._under(f"optimizer.{name}.").items():
+            number, _, entry = key.partition(".")
+            states.setdefault(int(number), {})[entry] = value
+        parameters = [p for group in optimizer.param_groups for p in group["params"]]
+        if len(states) > len(parameters):
+            raise self.unlike()
+        laid = {n: _laid_like(state, parameters[n]) for n, state in states.items()}
+        groups = optimizer.state_dict()["param_groups"]
+        optimizer.load_state_dict({"state": laid, "param_groups": groups})
+
+    def restore_scale(self, scaler: Scaler) -> None:
+        """Restore the loss scale, if the file has one."""
+        if "scaler" in self._notes:
+            scaler.load_state_dict(json.loads(self._notes["scaler"]))
+
+    def unlike(self) -> BadInput:
+        """The error to raise where the run to resume has other models than the file."""
+        return BadInput(
+            f"{self.path}: a checkpoint of another architecture; train without --resume"
+        )
+
+    def _under(self, prefix: str) -> dict[str, Tensor]:
+        cut = len(prefix)
+        return {key[cut:]: value for key, value in self._tensors.items() if key.startswith(prefix)}
+
+
+def _copy(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {name: value.detach().clone() for name, value in state.items()}
 
 
 def _laid_like(state: dict[str, Tensor], parameter: Tensor) -> dict[str, Tensor]:
@@ -112,39 +190,6 @@ def _laid_like(state: dict[str, Tensor], parameter: Tensor) -> dict[str, Tensor]
         else value
         for name, value in state.items()
     }
-
-
-class AveragedModel(nn.Module):
-    """A copy of a model whose weights follow the model's as an exponential moving average.
-
-    The copy and the count of updates are part of the state, so that a resumed run goes on exactly.
-    The average of few updates forgets faster, `min(decay, (1 + n) / (10 + n))`, so that the first
-    weights do not weigh for long.
-
-    Args:
-        model: in training; its parameters may not be replaced.
-        decay: part of the average that an update keeps, at most.
-    """
-
-    updates: Tensor
-
-    def __init__(self, model: nn.Module, decay: float) -> None:
-        super().__init__()
-        self.model = copy.deepcopy(model).eval().requires_grad_(False)
-        self.decay = decay
-        self.register_buffer("updates", torch.zeros(()))
-
-    @torch.no_grad()
-    def update(self, model: nn.Module) -> None:
-        """Move the average towards the weights and buffers of `model`; whole numbers are copied."""
-        self.updates += 1
-        share = 1 - torch.clamp((1 + self.updates) / (10 + self.updates), max=self.decay)
-        latest = model.state_dict()
-        for name, average in self.model.state_dict().items():
-            if average.is_floating_point():
-                average.lerp_(latest[name], share)
-            else:
-                average.copy_(latest[name])
 
 
 @dataclass(frozen=True)

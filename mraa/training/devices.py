@@ -1,19 +1,25 @@
-"""Types that a device computes in natively, and which one a name means there.
+"""Devices, processes and precision of training and rendering.
 
-Batch norm over the batch of all processes, for devices where torch has none (the CPU).
-
-The C library's allocator, told to keep the memory of large tensors between steps.
+Batch norm over the batch of all processes, for devices where torch has none (the CPU), and the C
+library's allocator, told to keep the memory of large tensors between steps.
 """
 
 import ctypes
-import ctypes.util
+import logging
+import os
 import sys
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
+
+from data_prep.errors import BadInput
+
+if TYPE_CHECKING:
+    from lightning_fabric import Fabric
 
 PRECISIONS = {"fp32": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
 """Types of the convolutions, by name."""
@@ -46,6 +52,68 @@ def choose_precision(name: str, device: torch.device) -> torch.dtype:
     if name == "fp16" and device.type == "cpu":
         raise ValueError("float16 is for GPUs; take auto or fp32")
     return PRECISIONS[name]
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """How to run a training stage; not what it computes."""
+
+    device: str = "auto"
+    """"auto", "cpu", "cuda" or "mps"."""
+    devices: int = 1
+    """Processes on this machine; under torchrun its world size rules."""
+    precision: str = "32-true"
+    """Lightning Fabric's names: "32-true", "bf16-mixed", "16-mixed"; the command also knows
+    "auto", see `native_precision`."""
+    workers: int = 0
+    """Processes that load data, each; and that measure the motion of clips on a CPU."""
+    checkpoint_seconds: float = 120.0
+    """Longest work that a kill can lose."""
+    log_every: int = 10
+    """Steps between points of the curves."""
+    identity: str = ""
+    """What a stage is trained on; a checkpoint of something else is not resumed."""
+
+
+def native_precision(device: str = "auto") -> str:
+    """Name "bf16-mixed" where the device computes in bfloat16 natively, else "32-true"."""
+    cuda = device != "cpu" and torch.cuda.is_available()
+    return "bf16-mixed" if native_bf16(torch.device("cuda" if cuda else "cpu")) else "32-true"
+
+
+def launch(config: RunConfig, *, unused_parameters: bool = False) -> "Fabric":
+    """Start (or join) the processes that a configuration asks for.
+
+    Args:
+        config: device, processes, precision.
+        unused_parameters: some parameters of a model may be left without gradients.
+
+    Raises:
+        BadInput: a device or precision that this machine does not have.
+    """
+    # takes two seconds, and whoever wants a number of `RunConfig` imports this module
+    from lightning_fabric import Fabric
+    from lightning_fabric.strategies import DDPStrategy
+    from lightning_fabric.utilities.exceptions import MisconfigurationException
+
+    logging.getLogger("lightning_fabric").setLevel(logging.WARNING)  # no line for each launch
+    devices = int(os.environ.get("LOCAL_WORLD_SIZE", config.devices))  # torchrun's word counts
+    nodes = int(os.environ.get("GROUP_WORLD_SIZE", "1"))
+    try:
+        fabric = Fabric(
+            accelerator=config.device,
+            devices=devices,
+            num_nodes=nodes,
+            precision=config.precision,  # type: ignore[arg-type]
+            strategy=DDPStrategy(find_unused_parameters=unused_parameters)
+            if devices * nodes > 1
+            else "auto",
+        )
+        fabric.launch()
+    except (ValueError, RuntimeError, MisconfigurationException) as error:
+        reason = str(error).splitlines()[0]
+        raise BadInput(f"--device, --devices or --precision: {reason}") from error
+    return fabric
 
 
 class _Total(torch.autograd.Function):

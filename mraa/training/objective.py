@@ -14,7 +14,6 @@ from mraa.losses import equivariance_of, thin_plate
 from mraa.perceptual import BACKENDS, PYRAMID_SCALES, PerceptualPyramid, backend_of
 from mraa.regions import RegionEstimator, Regions
 from mraa.renderer import Renderer, from_pixels
-from mraa.training.checkpoint import AveragedModel
 from mraa.training.pairs import Augmentation
 
 
@@ -124,7 +123,7 @@ class RendererTraining:
 class Objective(nn.Module):
     """The renderer with its losses, as one module so that devices see one forward pass.
 
-    Its state is that of the renderer and of the average; what is fixed stays out of checkpoints.
+    Its state is that of the renderer; what is fixed stays out of checkpoints.
 
     Args:
         renderer: in training.
@@ -145,22 +144,14 @@ class Objective(nn.Module):
     ) -> None:
         super().__init__()
         self.renderer, self.weights, self.motion_alone = renderer, training, motion_alone
-        self.average = AveragedModel(renderer, training.ema) if training.ema else None
         self._fixed = (compare, teacher)  # in a tuple, where torch does not look for state
 
-    @property
-    def best(self) -> Renderer:
-        """The renderer to look at and to publish: the averaged one, where there is one."""
-        best = self.renderer if self.average is None else self.average.model
-        assert isinstance(best, Renderer)
-        return best
-
-    def forward(self, frames: Tensor, plate: Tensor) -> dict[str, Tensor]:
+    def forward(self, frames: Tensor, tps_noise: Tensor) -> dict[str, Tensor]:
         """Losses of pairs.
 
         Args:
             frames: (B, 2, H, W, 3) uint8, source first.
-            plate: (B, 31) standard normal numbers of the equivariance transform.
+            tps_noise: (B, 31) standard normal numbers of the equivariance transform.
 
         Returns:
             The weighted terms of the loss, scalars: "perceptual", "shift", "affine", "painted",
@@ -178,7 +169,7 @@ class Objective(nn.Module):
         terms = self._reconstruction(source, driving, flow)
         return {
             **terms,
-            **self._regions(driving, driving_regions, plate),
+            **self._regions(driving, driving_regions, tps_noise),
             **self._taught(both, source, driving),
         }
 
@@ -197,7 +188,7 @@ class Objective(nn.Module):
         error = (prediction - truth).detach().abs().mean()
         return {"perceptual": loss, "painted": painted, "l1": error}
 
-    def _regions(self, driving: Tensor, regions: Regions, plate: Tensor) -> dict[str, Tensor]:
+    def _regions(self, driving: Tensor, regions: Regions, tps_noise: Tensor) -> dict[str, Tensor]:
         """Terms "shift" and "affine", the equivariance; zero while the estimator is frozen."""
         weights, renderer = self.weights, self.renderer
         if weights.freeze_estimator:
@@ -206,7 +197,7 @@ class Objective(nn.Module):
             renderer.estimator,
             driving,
             regions,
-            thin_plate(plate.float()),
+            thin_plate(tps_noise.float()),
             align_corners=renderer.config.align_corners,
         )
         return {

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from data_prep.dataset import Clip, Dataset
 from data_prep.rates import IMAGE_SIZE
-from mraa.losses import PLATE_NUMBERS
+from mraa.losses import TPS_NUMBERS
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class TrainingPair(NamedTuple):
 
     frames: Tensor
     """(2, size, size, 3) uint8, source first."""
-    plate: Tensor
+    tps_noise: Tensor
     """(31,) float32 standard normal, for `mraa.losses.thin_plate`."""
 
 
@@ -86,8 +86,8 @@ class FramePairs:
             small = (self.size, self.size)
             frames = [cv2.resize(f, small, interpolation=cv2.INTER_AREA) for f in frames]
         pair = torch.from_numpy(augment(np.stack(frames), self.augmentation, random))
-        plate = torch.from_numpy(random.standard_normal(PLATE_NUMBERS, dtype=np.float32))
-        return TrainingPair(pair, plate)
+        tps_noise = torch.from_numpy(random.standard_normal(TPS_NUMBERS, dtype=np.float32))
+        return TrainingPair(pair, tps_noise)
 
 
 def augment(pair: np.ndarray, how: Augmentation, random: np.random.Generator) -> np.ndarray:

@@ -7,12 +7,13 @@ import copy
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
-from torch import nn
+from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel
 
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
@@ -163,37 +164,69 @@ def _train(
         seed=seed,
         config=run_config,
         resume=resume,
-        resting=stage.motion_alone or training.freeze_estimator,
+        unused_parameters=stage.motion_alone or training.freeze_estimator,
     )
     renderer.to(memory_format=torch.channels_last)
     compare = perceptual_loss(training).to(run.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     if teacher is not None:
         teacher = teacher.to(run.device).eval().requires_grad_(False)
-    whole = Objective(renderer, training, compare, teacher, stage.motion_alone)
-    objective, optimizer = run.setup(whole, adam(renderer, training, fused=not run.scaled))
+    average = moving_average(renderer, training.ema) if training.ema else None
+    objective = run.add(
+        "renderer",
+        Objective(renderer, training, compare, teacher, stage.motion_alone),
+        adam(renderer, training, fused=not run.scaled),
+        stage.milestones,
+    )
+    best = renderer
+    if average is not None:
+        run.add("average", average)
+        best = cast(Renderer, average.module)
     clips = dataset.clips("train")
     pairs = FramePairs(dataset, clips, training.augmentation, stage.size, stage.gap)
     batches = run.batches(pairs, training.batch, training.accumulate)
     for step in run.steps():
-        run.rate(optimizer, training.rate, stage.milestones)
-        for _ in run.parts(objective, training.accumulate):
+        for _ in run.parts(training.accumulate, "renderer"):
             pair = next(batches)
-            terms = objective(pair.frames, pair.plate)
+            terms = objective(pair.frames, pair.tps_noise)
             error = terms.pop("l1")
             loss = torch.stack(list(terms.values())).sum()
-            run.backward(loss / training.accumulate)
+            run.update(loss, "renderer", clip=training.clip)
             run.log(loss=loss, **terms, l1=error)
-        run.clip(objective, optimizer, training.clip)
-        optimizer.step()
-        optimizer.zero_grad()
-        if whole.average is not None:
-            whole.average.update(renderer)
+        if average is not None:
+            average.update_parameters(renderer)
         last = step + 1 == stage.steps
         if run.fabric.global_rank == 0 and (step % training.sheet_every == 0 or last):
-            sheet = sample_sheet(whole.best, *images(pair.frames))
+            sheet = sample_sheet(best, *images(pair.frames))
             write_sheet(folder / "sheets" / f"{stage.name}-{step:07d}.png", sheet)
             run.curves.image("samples", sheet, step)
-    renderer.load_state_dict(whole.best.state_dict())
+    renderer.load_state_dict(best.state_dict())
+
+
+def moving_average(model: nn.Module, decay: float) -> AveragedModel:
+    """A copy of a model whose weights and buffers follow it as an exponential moving average.
+
+    After n updates the average keeps min(decay, (1 + n) / (10 + n)) of itself, so that the first
+    weights do not count for long. The number of updates is part of the state.
+
+    Args:
+        model: in training; its parameters must not be replaced.
+        decay: in (0, 1).
+
+    Returns:
+        In evaluation mode; `update_parameters(model)` moves it, `module` is the average.
+    """
+
+    def average(averages: list[Tensor], latest: list[Tensor], updates: Tensor) -> None:
+        kept = torch.clamp((1 + updates) / (10 + updates), max=decay)
+        for mean, value in zip(averages, latest, strict=True):
+            if mean.is_floating_point():
+                mean.lerp_(value, 1 - kept)
+            else:  # such as the number of batches that a batch norm has seen
+                mean.copy_(value)
+
+    averaged = AveragedModel(model, multi_avg_fn=average, use_buffers=True)  # type: ignore[arg-type]
+    averaged.n_averaged.fill_(1)  # at 0 torch copies the weights in place of averaging them
+    return averaged.eval().requires_grad_(False)
 
 
 def adam(model: nn.Module, training: RendererTraining, *, fused: bool = True) -> torch.optim.Adam:

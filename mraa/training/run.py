@@ -1,170 +1,44 @@
-"""One training run: devices, precision, distribution, checkpoints, curves and progress.
+"""One training run: models, optimisers, checkpoints, curves and progress.
 
 Everything random in step i follows from (seed, i): which items are drawn, augmentation, dropout.
 A run that is resumed from the checkpoint of step i is therefore the same run, bit for bit on one
-CPU, and a checkpoint holds tensors and one number alone.
-
-Endless batches of which every item follows from the seed and its place in the training alone.
-
-Which process loads an item, and in which part of a step, changes nothing about the item: two
-processes see in a step what one sees.
+CPU, and a checkpoint holds tensors and a few numbers alone.
 """
 
-import logging
-import os
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.utils.data import DataLoader, Dataset, Sampler
+from torch.utils.data import DataLoader
 
-from data_prep.errors import BadInput
 from data_prep.progress import console, progress
-from mraa.training.checkpoint import Scaler, checkpoint_identity, load_checkpoint, save_checkpoint
+from mraa.training.batches import SEED_STRIDE, SeededItems, StepSampler
+from mraa.training.checkpoint import Best, Checkpoint, Scaler, save_checkpoint
 from mraa.training.curves import Curves
-from mraa.training.devices import native_bf16, synchronise
-
-if TYPE_CHECKING:
-    from lightning_fabric import Fabric
-
-
-SEED_STRIDE = 1_000_003
-"""Keeps the seeds of neighbouring steps, items and runs apart."""
-
-
-class StepSampler(Sampler[list[tuple[int, int]]]):
-    """Endless batches of (index, seed); those of step i are a pure function of the seed and i.
-
-    Args:
-        length: items in an epoch.
-        batch: items of a step, over all processes and parts.
-        seed: of the run.
-        first: step to begin with.
-        rank: number of this process.
-        world: number of processes.
-        parts: batches that a step is computed in.
-
-    Raises:
-        BadInput: a step's items do not divide evenly.
-    """
-
-    def __init__(
-        self, length: int, batch: int, seed: int, first: int, rank: int, world: int, parts: int = 1
-    ) -> None:
-        if batch % (world * parts):
-            raise BadInput(f"batch {batch} does not divide over {world} processes x {parts} parts")
-        self.length, self.batch, self.seed = length, batch, seed
-        self.first, self.rank, self.world, self.parts = first, rank, world, parts
-        self._epoch, self._order = -1, np.arange(0)
-
-    def __iter__(self) -> Iterator[list[tuple[int, int]]]:
-        size = self.batch // self.parts
-        start = self.first * self.batch
-        while True:
-            yield [self._item(start + offset) for offset in range(self.rank, size, self.world)]
-            start += size
-
-    def _item(self, position: int) -> tuple[int, int]:
-        """Every epoch is one permutation of all items."""
-        epoch, place = divmod(position, self.length)
-        if self._epoch != epoch:
-            order = np.random.default_rng([self.seed, epoch]).permutation(self.length)
-            self._epoch, self._order = epoch, order
-        return int(self._order[place]), self.seed * SEED_STRIDE + position
-
-
-class SeededItems(Dataset[Any]):
-    """Gives every item its own random generator, drawn from (seed, position)."""
-
-    def __init__(self, items: Any) -> None:
-        self.items = items
-
-    def __getitem__(self, key: tuple[int, int]) -> Any:
-        index, seed = key
-        if hasattr(self.items, "draw"):
-            return self.items.draw(index, np.random.default_rng(seed))
-        return self.items[index]
-
-
-@dataclass(frozen=True)
-class RunConfig:
-    """How to run a training stage; not what it computes."""
-
-    device: str = "auto"
-    """"auto", "cpu", "cuda" or "mps"."""
-    devices: int = 1
-    """Processes on this machine; under torchrun its world size rules."""
-    precision: str = "32-true"
-    """Lightning Fabric's names: "32-true", "bf16-mixed", "16-mixed"; the command also knows
-    "auto", see `native_precision`."""
-    workers: int = 0
-    """Processes that load data, each; and that measure the motion of clips on a CPU."""
-    checkpoint_seconds: float = 120.0
-    """Longest work that a kill can lose."""
-    log_every: int = 10
-    """Steps between points of the curves."""
-    identity: str = ""
-    """What a stage is trained on; a checkpoint of something else is not resumed."""
-
-
-def native_precision(device: str = "auto") -> str:
-    """Name "bf16-mixed" where the device computes in bfloat16 natively, else "32-true"."""
-    cuda = device != "cpu" and torch.cuda.is_available()
-    return "bf16-mixed" if native_bf16(torch.device("cuda" if cuda else "cpu")) else "32-true"
-
-
-def launch(config: RunConfig, *, resting: bool = False) -> "Fabric":
-    """Start (or join) the processes that a configuration asks for.
-
-    Args:
-        config: device, processes, precision.
-        resting: some parameters of the model may be left without gradients.
-
-    Raises:
-        BadInput: a device or precision that this machine does not have.
-    """
-    # takes two seconds, and whoever wants a number of `RunConfig` imports this module
-    from lightning_fabric import Fabric
-    from lightning_fabric.strategies import DDPStrategy
-    from lightning_fabric.utilities.exceptions import MisconfigurationException
-
-    logging.getLogger("lightning_fabric").setLevel(logging.WARNING)  # no line for each launch
-    devices = int(os.environ.get("LOCAL_WORLD_SIZE", config.devices))  # torchrun's word counts
-    nodes = int(os.environ.get("GROUP_WORLD_SIZE", "1"))
-    try:
-        fabric = Fabric(
-            accelerator=config.device,
-            devices=devices,
-            num_nodes=nodes,
-            precision=config.precision,  # type: ignore[arg-type]
-            strategy=DDPStrategy(find_unused_parameters=resting) if devices * nodes > 1 else "auto",
-        )
-        fabric.launch()
-    except (ValueError, RuntimeError, MisconfigurationException) as error:
-        reason = str(error).splitlines()[0]
-        raise BadInput(f"--device, --devices or --precision: {reason}") from error
-    return fabric
+from mraa.training.devices import RunConfig as RunConfig
+from mraa.training.devices import launch, synchronise
+from mraa.training.devices import native_precision as native_precision
 
 
 class Run:
-    """A stage of training.
+    """A stage of training: its models, optimisers, checkpoint, curves and progress.
 
     A stage is a flat loop::
 
-        run = Run(folder, "vq", steps=1000, seed=0)
-        model, optimizer = run.setup(model, optimizer)
+        run = Run(folder, "gpt", steps=1000, seed=0)
+        model = run.add("gpt", gpt, torch.optim.Adam(gpt.parameters(), lr=3e-4), milestones=[800])
         batches = run.batches(windows, batch_size=32)
         for step in run.steps():
             loss = model(next(batches))
-            run.backward(loss)
-            optimizer.step()
-            optimizer.zero_grad()
+            run.update(loss, "gpt", clip=1.0)
+            if run.due(checks=20):
+                run.keep_best(held_out_loss(gpt), patience=5)
             run.log(loss=loss)
+        run.restore_best()
 
     Args:
         folder: checkpoints go to `folder/<stage>.safetensors`, curves to `folder/curves/<stage>`.
@@ -173,7 +47,11 @@ class Run:
         seed: everything random follows from it.
         config: device, precision and so on.
         resume: go on from the checkpoint if there is one; else start anew.
-        resting: some parameters are not trained in this stage.
+        unused_parameters: some parameters are not trained in this stage.
+
+    Raises:
+        BadInput: the checkpoint to go on from is damaged or of another version, or the machine
+            does not have what `config` asks for.
     """
 
     def __init__(
@@ -185,19 +63,25 @@ class Run:
         seed: int = 0,
         config: RunConfig | None = None,
         resume: bool = False,
-        resting: bool = False,
+        unused_parameters: bool = False,
     ) -> None:
         self.config = config or RunConfig()
         self.folder, self.stage, self.total, self.seed = Path(folder), stage, steps, seed
-        self.fabric = launch(self.config, resting=resting)
-        self.resume = resume
-        self.first = 0
-        self.step = 0
+        self.fabric = launch(self.config, unused_parameters=unused_parameters)
+        self.models: dict[str, nn.Module] = {}
+        self.optimizers: dict[str, torch.optim.Optimizer] = {}
+        self._wrapped: dict[str, Any] = {}
+        self._rates: dict[str, tuple[list[float], tuple[int, ...]]] = {}
+        self._part, self._parts = 0, 1
         self._note = ""
-        self._models: list[nn.Module] = []
-        self._optimizer: torch.optim.Optimizer | None = None
         self._curves: Curves | None = None
         self._logged: dict[str, list[Tensor]] = {}
+        self._saved = self._open() if resume and self.checkpoint.exists() else None
+        if self._saved is None and self.fabric.global_rank == 0:
+            self.checkpoint.unlink(missing_ok=True)  # of an earlier training
+        self.fabric.barrier()
+        self.first = self.step = 0 if self._saved is None else self._saved.step
+        self.best = Best() if self._saved is None else self._saved.best
         torch.manual_seed(seed)
 
     @property
@@ -210,34 +94,68 @@ class Run:
         """Where the stage computes."""
         return self.fabric.device
 
-    def setup(
-        self, model: nn.Module, optimizer: torch.optim.Optimizer
-    ) -> tuple[Any, torch.optim.Optimizer]:
-        """Place model and optimiser, and restore both when resuming."""
-        self._models, self._optimizer = [model], optimizer
-        if self.fabric.world_size > 1 and _cuda(self):
-            model = nn.SyncBatchNorm.convert_sync_batchnorm(model)
-        elif self.fabric.world_size > 1:
-            synchronise(model)
-        wrapped, placed = self.fabric.setup(model, optimizer)
-        self._models, self._optimizer = [wrapped.module], placed
-        if self.resume and self.checkpoint.exists():
-            self.first = self.step = self._restore(wrapped.module, placed)
-        elif self.fabric.global_rank == 0:
-            self.checkpoint.unlink(missing_ok=True)  # of an earlier training
-        self.fabric.barrier()
-        return wrapped, placed
+    def _open(self) -> Checkpoint | None:
+        """The checkpoint, unless it was trained on something else."""
+        saved = Checkpoint(self.checkpoint)
+        if saved.identity == self.config.identity:
+            return saved
+        console.print(f"{self.stage}: the checkpoint was trained on something else; anew")
+        return None
 
-    def _restore(self, model: nn.Module, optimizer: torch.optim.Optimizer) -> int:
-        """Steps of the checkpoint, or 0 if it was trained on something else."""
-        if checkpoint_identity(self.checkpoint) != self.config.identity:
-            console.print(f"{self.stage}: the checkpoint was trained on something else; anew")
-            return 0
-        return load_checkpoint(self.checkpoint, model, optimizer, self._scaler)
+    def add(
+        self,
+        name: str,
+        model: nn.Module,
+        optimizer: torch.optim.Optimizer | None = None,
+        milestones: Sequence[int] = (),
+    ) -> Any:
+        """Place a model and its optimiser on the device, and restore both when resuming.
+
+        Args:
+            name: of both in the checkpoint, without a dot.
+            model: put in training mode; without an optimiser, a target network or an averaged
+                model, in evaluation mode and without gradients.
+            optimizer: of the model's parameters.
+            milestones: steps at which the learning rate falls to a tenth.
+
+        Returns:
+            The model to call in the loop; `model` itself stays the plain module. With several
+            processes, what a loss of another model passes through is called as `plain.forward`.
+
+        Raises:
+            BadInput: the checkpoint holds another architecture.
+        """
+        if "." in name or name in self.models:
+            raise ValueError(f"{name}: names of models are different and have no dot")
+        placed: Any = model
+        if optimizer is None:
+            model.to(self.device).eval().requires_grad_(False)
+        else:
+            if self.fabric.world_size > 1 and _cuda(self):
+                model = nn.SyncBatchNorm.convert_sync_batchnorm(model)
+            elif self.fabric.world_size > 1:
+                synchronise(model)
+            placed, self.optimizers[name] = self.fabric.setup(model.train(), optimizer)
+            model = placed.module
+            rates = [group["lr"] for group in optimizer.param_groups]
+            self._rates[name] = rates, tuple(milestones)
+        self.models[name], self._wrapped[name] = model, placed
+        if self._saved is not None:
+            self._saved.restore(name, model, self.optimizers.get(name))
+        return placed
+
+    def _begin(self) -> None:
+        """What can be restored only when every model is there."""
+        if self._saved is not None:
+            if self._saved.names != set(self.models):
+                raise self._saved.unlike()
+            if self._scaler is not None:
+                self._saved.restore_scale(self._scaler)
+        self._saved = None
 
     @property
     def scaled(self) -> bool:
-        """Whether losses are scaled, as in 16-bit training alone."""
+        """Whether losses are scaled, as in 16-bit training only."""
         return self._scaler is not None
 
     @property
@@ -275,16 +193,26 @@ class Run:
             yield self.fabric.to_device(batch)
 
     def steps(self) -> Iterator[int]:
-        """Steps that remain; seeds torch at each, shows progress, writes checkpoints."""
+        """Steps that remain, until the best score is out of patience.
+
+        Seeds torch and sets the learning rates at each, shows progress, writes checkpoints.
+
+        Raises:
+            BadInput: the checkpoint holds other models.
+        """
+        self._begin()
         self.folder.mkdir(parents=True, exist_ok=True)
         saved = time.monotonic()
         try:
             with progress(self.stage, self.total, "steps", self.first) as advance:
                 for step in range(self.first, self.total):
+                    if self.best.exhausted:
+                        break
                     self.step = step
                     torch.manual_seed(
                         (self.seed * SEED_STRIDE + step) * 64 + self.fabric.global_rank
                     )
+                    self._set_rates()
                     yield step
                     self._flush()
                     advance(1, self._note)
@@ -298,23 +226,95 @@ class Run:
             if self._curves is not None:
                 self._curves.close()
 
-    def parts(self, model: Any, count: int) -> Iterator[int]:
-        """Parts of a step whose gradients add up: processes exchange them in the last one.
+    def _set_rates(self) -> None:
+        for name, (rates, milestones) in self._rates.items():
+            passed = sum(self.step >= milestone for milestone in milestones)
+            for group, rate in zip(self.optimizers[name].param_groups, rates, strict=True):
+                group["lr"] = rate * 0.1**passed
+
+    def parts(self, count: int, *names: str) -> Iterator[int]:
+        """Parts of a step whose gradients add up; `update` steps in the last one.
 
         Args:
-            model: as `setup` returned it.
-            count: of parts; every loss has to be divided by it.
+            count: of parts.
+            names: of the models that are updated, whose processes exchange gradients at the end.
         """
-        for part in range(count):
-            with self.fabric.no_backward_sync(model, enabled=part + 1 < count):
-                yield part
+        try:
+            for self._part in range(count):
+                self._parts = count
+                with ExitStack() as stack:
+                    for name in names:
+                        wrapped, last = self._wrapped[name], self._part + 1 == count
+                        stack.enter_context(self.fabric.no_backward_sync(wrapped, enabled=not last))
+                    yield self._part
+        finally:
+            self._part, self._parts = 0, 1
+
+    def update(self, loss: Tensor, *names: str, clip: float | None = None) -> None:
+        """Gradients of a loss, and one step of the optimisers of the models named.
+
+        Only these models get gradients, whatever else the loss passes through.
+
+        Args:
+            loss: scalar; in `parts` the mean over them counts.
+            names: of models that have an optimiser.
+            clip: largest norm of each model's gradients.
+        """
+        learning = [p for name in names for p in self.models[name].parameters() if p.requires_grad]
+        self.fabric.backward(loss / self._parts if self._parts > 1 else loss, inputs=learning)
+        if self._part + 1 < self._parts:
+            return
+        scaler: Any = self._scaler
+        for name in names:
+            optimizer: Any = self.optimizers[name]
+            if clip is not None:
+                self.fabric.clip_gradients(
+                    self._wrapped[name], optimizer, max_norm=clip, error_if_nonfinite=False
+                )
+            if scaler is None:
+                optimizer.step()
+            else:  # Fabric would change the scale after each optimiser
+                scaler.step(optimizer.optimizer)
+        if scaler is not None:
+            scaler.update()
+        for name in names:
+            self.optimizers[name].zero_grad()
+
+    def due(self, checks: int) -> bool:
+        """Whether one of `checks` evenly spaced evaluations belongs to this step."""
+        return (self.step + 1) % max(1, self.total // checks) == 0
+
+    def keep_best(self, score: float, patience: int = 0, *names: str) -> None:
+        """Keep the present weights if their score is lower than all before.
+
+        Latest and lowest score appear in the curves.
+
+        Args:
+            score: lower is better; that of the first process counts.
+            patience: evaluations without improvement after which `steps` ends; 0 for never.
+            names: of the models to keep; none for all that have an optimiser.
+        """
+        self.best.patience = patience
+        kept = {name: self.models[name] for name in names or self.optimizers}
+        self.best.consider(float(self.fabric.broadcast(score)), kept)
+
+    def restore_best(self) -> None:
+        """Put the best weights into the models; without any score they are left as they are."""
+        for name, weights in self.best.weights.items():
+            self.models[name].load_state_dict(weights)
+
+    def setup(
+        self, model: nn.Module, optimizer: torch.optim.Optimizer
+    ) -> tuple[Any, torch.optim.Optimizer]:
+        """`add` of a single model; goes when no stage calls it."""
+        return self.add("model", model, optimizer), self.optimizers["model"]
 
     def backward(self, loss: Tensor) -> None:
-        """Gradients of a scalar loss, scaled and averaged as precision and devices ask."""
+        """Gradients of a scalar loss; goes when no stage calls it."""
         self.fabric.backward(loss)
 
     def clip(self, model: nn.Module, optimizer: torch.optim.Optimizer, norm: float) -> None:
-        """Scale the gradients to at most `norm`."""
+        """Scale the gradients to at most `norm`; goes when no stage calls it."""
         self.fabric.clip_gradients(model, optimizer, max_norm=norm, error_if_nonfinite=False)
 
     def rate(
@@ -322,12 +322,11 @@ class Run:
         optimizer: torch.optim.Optimizer,
         base: float,
         milestones: Sequence[int] = (),
-        factor: float = 0.1,
     ) -> None:
-        """Set the learning rate of this step: `base * factor^(milestones passed)`."""
+        """Set the learning rate of this step; goes when no stage calls it."""
         passed = sum(self.step >= milestone for milestone in milestones)
         for group in optimizer.param_groups:
-            group["lr"] = base * factor**passed
+            group["lr"] = base * 0.1**passed
 
     def log(self, **scalars: Tensor | float) -> None:
         """Add points to the curves, every `log_every` steps, and show them.
@@ -347,6 +346,8 @@ class Run:
         means = self.fabric.all_reduce(means, reduce_op="mean")  # type: ignore[assignment]
         values = dict(zip(self._logged, means.tolist(), strict=True))
         self._logged.clear()
+        if self.best.weights:
+            values |= {"held_out": self.best.latest, "best": self.best.score}
         self._note = "  ".join(f"{name} {value:.4g}" for name, value in values.items())
         if self.fabric.global_rank == 0:
             self.curves.add(self.step, values)
@@ -364,14 +365,15 @@ class Run:
         The first process alone decides when and writes; the others wait for it in their next
         step, not here, because their clocks differ.
         """
-        if self.fabric.global_rank == 0 and self._optimizer is not None:
+        if self.fabric.global_rank == 0:
             save_checkpoint(
                 self.checkpoint,
-                self._models[0],
-                self._optimizer,
+                self.models,
+                self.optimizers,
                 self.step,
                 self.config.identity,
                 self._scaler,
+                self.best,
             )
             if self._curves is not None:
                 self._curves.write()

@@ -56,8 +56,10 @@ def test_resumed_training_is_the_uninterrupted_one(dataset, tmp_path):
         assert files[0] == files[1] and len(files[0]) > 300
     last = load_file(tmp_path / "whole" / "renderer.safetensors")
     kernel = "renderer.generator.final.weight"
-    assert torch.equal(last["model.average.model." + kernel[9:]], whole[kernel[9:]])
-    assert not torch.equal(last["model." + kernel], whole[kernel[9:]])  # averaged, not the last
+    assert torch.equal(last["model.average.module." + kernel[9:]], whole[kernel[9:]])
+    assert not torch.equal(
+        last["model.renderer." + kernel], whole[kernel[9:]]
+    )  # averaged, not the last
 
 
 def test_a_frozen_estimator_stays_and_the_rest_learns(dataset, tmp_path):
@@ -96,8 +98,8 @@ def test_one_pass_over_memory_takes_the_steps_of_the_plain_optimiser():
 def test_a_loss_scale_trains_too(dataset, tmp_path, monkeypatch):
     """Gradients have to be clipped before the step, which the fused optimiser would unscale."""
 
-    def scaling(config, *, resting=False):
-        fabric = launch(config, resting=resting)
+    def scaling(config, *, unused_parameters=False):
+        fabric = launch(config, unused_parameters=unused_parameters)
         scaler = torch.amp.GradScaler("cpu", init_scale=1024.0)
         fabric.strategy.precision = MixedPrecision("16-mixed", "cpu", scaler)
         return fabric

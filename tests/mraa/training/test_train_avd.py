@@ -20,8 +20,19 @@ def training(steps, milestones=()):
 
 
 @pytest.fixture
-def motions(clips):
-    return [clip.motion for clip in clips]
+def motions():
+    """Twelve clips of one body, of whose four regions two swing."""
+    random, made = np.random.default_rng(0), []
+    for _ in range(12):
+        swing = 0.2 * random.uniform(0.5, 1) * np.sin(np.arange(60) * 2 * np.pi / 24)
+        shift = np.tile([[-0.5, 0.5], [0.5, 0.5], [0.0, -0.5], [0.0, 0.0]], (60, 1, 1))
+        cholesky = np.tile([0.15, 0.02, 0.1], (60, 4, 1))
+        shift[:, 0, 1] += swing
+        shift[:, 1, 1] -= swing
+        cholesky[:, :2, 1] += 0.2 * swing[:, None]
+        parts = (x + random.normal(0, 1e-4, x.shape) for x in (shift, cholesky))
+        made.append(Motion(*(torch.from_numpy(x).float() for x in parts)))
+    return made
 
 
 def work(folder, motions, steps, resume=False, milestones=()):
