@@ -1,7 +1,8 @@
 """Evaluation from start to end: spaces, rows, scores, pictures, videos, report."""
 
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ from angie.evaluation.rows import (
 )
 from angie.evaluation.scoring import make_judge
 from angie.evaluation.space import RegionSpace, open_space
-from angie.evaluation.videos import spread, write_videos
+from angie.evaluation.videos import in_turn, write_videos
 from angie.motion.clips import MotionClip
 from angie.motion.keypoints import KeypointDataset
 from data_prep.dataset import Dataset
@@ -83,13 +84,12 @@ def evaluate(
             scratch = part / f"motion-{number}"
             space = open_space(data, next(iter(group.values())), scratch, device)
             rows = make_rows(space, group, config)
+            drawn = _drawn(data, space, group, rows, joints, config, device)
             spaces.append(
-                score_space(data, space, group, rows, joints, part, number, config, device)
+                score_space(data, space, rows, group, part, number, config, pictures=drawn)
             )
             remove_folder(scratch)
-        numbers = numbers_of(data, spaces, config)
-        report.write_report(part, data.path.resolve().name, numbers)
-    return numbers
+        return finish(data, spaces, part, config)
 
 
 def _grouped(folders: Sequence[Path]) -> list[dict[str, Bundle]]:
@@ -166,35 +166,81 @@ def make_rows(
     return rows
 
 
+@dataclass(frozen=True)
+class Pictures:
+    """What is drawn of a space, for image scores and for videos to look at.
+
+    Attributes:
+        renderer: draws, and its region estimator looks at the frames.
+        joints: true joints (T, J, 2) of clips, by name, as far as known.
+        score: the image scores by a judge of frames, as the report has them.
+        videos: writes side-by-side videos into a folder that is there; their names.
+    """
+
+    renderer: Renderer
+    joints: dict[str, NDArray]
+    score: Callable[[FrameJudge], dict[str, Any]]
+    videos: Callable[[Path], list[str]]
+
+
 def score_space(
-    data: Dataset,
+    data: Dataset | KeypointDataset,
     space: RegionSpace,
-    bundles: dict[str, Bundle],
     rows: list[Row],
-    joints: dict[str, NDArray],
+    bundles: Mapping[str, Bundle],
     folder: Path,
     number: int,
     config: EvaluationConfig,
-    device: str,
+    *,
+    pictures: Pictures | None = None,
+    shown: str | None = None,
 ) -> dict[str, Any]:
-    """Everything the report tells of one space; its networks and videos go into `folder`."""
+    """Everything the report tells of one space; its networks and videos go into `folder`.
+
+    Args:
+        data: the clips, with their frames where pictures are drawn.
+        space: their motion.
+        rows: the ground truth first.
+        bundles: those told of, by name.
+        folder: of the report.
+        number: of the space in the report.
+        config: how.
+        pictures: what is drawn; None for nothing.
+        shown: name of the clip whose activity is plotted; None for the first speaker's first.
+    """
     model, scale, origin = find_autoencoder(space, folder, number, config)
     judge = make_judge(space, model, scale)
     bins = report.speed_bins(rows[0].runs[0], judge)
     numbers = [report.numbers_of_row(row, judge, bins) for row in rows]
-    shown = space.test[spread(space.test, 1)[0]].name
     images, videos = None, []
-    if config.images:
-        renderer = next(iter(bundles.values())).renderer().to(device)
+    if pictures is not None:
+        assert isinstance(data, Dataset)
+        renderer, joints = pictures.renderer, pictures.joints
         frame_judge, more = make_frame_judge(data, space, renderer, joints, folder, number, config)
         origin |= more
-        images = _images(data, space, bundles, frame_judge, joints, config)
-        videos = _videos(data, space, rows, renderer, folder / f"videos-{number}", config)
+        images = pictures.score(frame_judge)
+        place = folder / f"videos-{number}"
+        if config.videos_shown:
+            place.mkdir()
+            videos = [f"{place.name}/{name}" for name in pictures.videos(place)]
+    shown = shown or space.test[in_turn(space.test, 1)[0]].name
     told = {name: told_of(bundle, data) for name, bundle in bundles.items()}
     return report.numbers_of_space(space, judge, rows, numbers, shown, bins, origin, told) | {
         "images": images,
         "videos": videos,
     }
+
+
+def finish(
+    data: Dataset | KeypointDataset,
+    spaces: list[dict[str, Any]],
+    folder: Path,
+    config: EvaluationConfig,
+) -> dict[str, Any]:
+    """Write the report of spaces into a folder; the content of its results.json."""
+    numbers = numbers_of(data, spaces, config)
+    report.write_report(folder, data.path.resolve().name, numbers)
+    return numbers
 
 
 def told_of(bundle: Bundle, data: Dataset | KeypointDataset) -> dict[str, Any]:
@@ -210,17 +256,38 @@ def told_of(bundle: Bundle, data: Dataset | KeypointDataset) -> dict[str, Any]:
     }
 
 
-def _images(
+def _drawn(
     data: Dataset,
     space: RegionSpace,
     bundles: dict[str, Bundle],
-    judge: FrameJudge,
+    rows: Sequence[Row],
     joints: dict[str, NDArray],
     config: EvaluationConfig,
+    device: str,
+) -> Pictures | None:
+    """The pictures of bundles of one renderer; None where none are wanted."""
+    if not config.images:
+        return None
+    renderer = next(iter(bundles.values())).renderer().to(device)
+    return Pictures(
+        renderer,
+        joints,
+        partial(_score_images, data, space, bundles, joints, config),
+        lambda folder: write_videos(folder, data, space.test, rows, renderer, config.videos_shown),
+    )
+
+
+def _score_images(
+    data: Dataset,
+    space: RegionSpace,
+    bundles: dict[str, Bundle],
+    joints: dict[str, NDArray],
+    config: EvaluationConfig,
+    judge: FrameJudge,
 ) -> dict[str, Any]:
     """Image scores of the true regions, of stillness, and of each bundle's reconstruction."""
     about = {
-        TRUE_REGIONS: "Drawn from the regions of the recorded frames: the renderer alone.",
+        TRUE_REGIONS: "Drawn from the regions of the recorded frames: the renderer only.",
         "motionless": "Drawn from the first pose throughout.",
     }
     drivers: dict[str, Driver] = {"motionless": _held}
@@ -243,21 +310,6 @@ def _held(clip: MotionClip) -> Motion:
 def _through_codes(bundle: Bundle) -> Driver:
     generator = bundle.generator()
     return lambda clip: reconstructed(generator, clip)
-
-
-def _videos(
-    data: Dataset,
-    space: RegionSpace,
-    rows: Sequence[Row],
-    renderer: Renderer,
-    folder: Path,
-    config: EvaluationConfig,
-) -> list[str]:
-    if not config.videos_shown:
-        return []
-    folder.mkdir()
-    names = write_videos(folder, data, space.test, rows, renderer, config.videos_shown)
-    return [f"{folder.name}/{name}" for name in names]
 
 
 def numbers_of(

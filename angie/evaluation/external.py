@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,24 +14,22 @@ from numpy.typing import NDArray
 from angie.bundle import Bundle
 from angie.evaluation import report
 from angie.evaluation.evaluate import (
+    Pictures,
     baselines,
-    numbers_of,
+    finish,
     remove_folder,
     row_names,
+    score_space,
     seeds_of,
-    told_of,
 )
 from angie.evaluation.images import FrameJudge, FrameScores, compare, pick, read_chosen
 from angie.evaluation.joints import true_joints
 from angie.evaluation.networks import (
     EvaluationConfig,
     check_perceptual,
-    find_autoencoder,
-    make_frame_judge,
     stored_autoencoder,
 )
 from angie.evaluation.rows import Performance, Row
-from angie.evaluation.scoring import make_judge
 from angie.evaluation.space import RegionSpace, onsets_within, open_space
 from angie.evaluation.videos import padded, write_video
 from angie.metrics.images import read_pair
@@ -189,37 +188,24 @@ def evaluate_videos(
         known = sum(w.clip is not None for w in watched)
         (name,) = row_names([folder])
         about = f"{len(watched)} videos, {known} of them named like a test clip of the dataset."
-        rows = [*baselines(space, seeds_of(config)), Row(name, about, [_performances(watched)])]
-        model, scale, origin = find_autoencoder(space, part, 0, config)
-        judge = make_judge(space, model, scale)
-        bins = report.speed_bins(rows[0].runs[0], judge)
-        numbers = [report.numbers_of_row(row, judge, bins) for row in rows]
-        images, videos = None, []
+        rows = [
+            *baselines(space, seeds_of(config)),
+            Row(name, about, [[w.performance for w in watched]]),
+        ]
         matched = [w for w in watched if w.clip is not None]
-        if config.images:
-            frame_judge, more = make_frame_judge(data, space, renderer, joints, part, 0, config)
-            origin |= more
-            images = _images(data, name, about, matched, frame_judge, joints, config)
-            videos = _videos(data, name, matched, part, config)
-        shown = matched[0].path.stem if matched else space.test[0].name
-        result = report.numbers_of_space(
-            space,
-            judge,
-            rows,
-            numbers,
-            shown,
-            bins,
-            origin,
-            {bundle_folder.name: told_of(bundle, data)},
-        ) | {"images": images, "videos": videos}
+        drawn = Pictures(
+            renderer,
+            joints,
+            partial(_score_images, data, name, about, matched, joints, config),
+            partial(_write_videos, data, name, matched[: config.videos_shown]),
+        )
+        result = score_space(
+            data, space, rows, {bundle_folder.name: bundle}, part, 0, config,
+            pictures=drawn if config.images else None,
+            shown=matched[0].path.stem if matched else None,
+        )  # fmt: skip
         remove_folder(scratch)
-        whole = numbers_of(data, [result], config)
-        report.write_report(part, data.path.resolve().name, whole)
-    return whole
-
-
-def _performances(watched: Sequence[Watched]) -> list[Performance]:
-    return [w.performance for w in watched]
+        return finish(data, [result], part, config)
 
 
 def _chosen(path: Path, numbers: NDArray) -> NDArray:
@@ -227,14 +213,14 @@ def _chosen(path: Path, numbers: NDArray) -> NDArray:
     return np.stack([frame for i, frame in enumerate(square_frames(path)) if i in wanted])
 
 
-def _images(
+def _score_images(
     data: Dataset,
     name: str,
     about: str,
     watched: Sequence[Watched],
-    judge: FrameJudge,
     joints: dict[str, NDArray],
     config: EvaluationConfig,
+    judge: FrameJudge,
 ) -> dict[str, Any]:
     """Image scores of the videos that are named like a clip."""
     gathered, stored = FrameScores(), _stored(data)
@@ -274,16 +260,13 @@ def _stored(data: Dataset) -> dict[str, Clip]:
     return {clip.id: clip for clip in data.clips()}
 
 
-def _videos(
-    data: Dataset, name: str, watched: Sequence[Watched], folder: Path, config: EvaluationConfig
-) -> list[str]:
+def _write_videos(data: Dataset, name: str, watched: Sequence[Watched], folder: Path) -> list[str]:
     """Side by side: the recorded clip and the video of its name."""
-    place, names = folder / "videos-0", []
-    for w in watched[: config.videos_shown]:
+    names = []
+    for w in watched:
         assert w.clip is not None
-        place.mkdir(exist_ok=True)
         clip = _stored(data)[w.clip.name]
         frames = padded(square_frames(w.path), clip.n_frames)
-        write_video(place / f"{clip.id}.mp4", data, clip, {name: frames})
-        names.append(f"{place.name}/{clip.id}.mp4")
+        names.append(f"{clip.id}.mp4")
+        write_video(folder / names[-1], data, clip, {name: frames})
     return names

@@ -15,17 +15,15 @@ from angie.bundle import Bundle
 from angie.evaluation import report
 from angie.evaluation.evaluate import (
     check_whole,
+    finish,
     make_rows,
-    numbers_of,
     remove_folder,
     row_names,
-    told_of,
+    score_space,
 )
-from angie.evaluation.networks import EvaluationConfig, find_autoencoder, stored_autoencoder
+from angie.evaluation.networks import EvaluationConfig, stored_autoencoder
 from angie.evaluation.rows import Row, perform
-from angie.evaluation.scoring import make_judge
 from angie.evaluation.space import RegionSpace
-from angie.evaluation.videos import spread
 from angie.motion.keypoints import KeypointDataset, read_points, read_rate, resample
 from angie.motion.statistics import measure
 from data_prep.errors import BadInput
@@ -74,19 +72,11 @@ def evaluate_joints(
         space = open_joints(data)
         rows = make_rows(space, models, config)
         rows += [array_row(space, name, motions) for name, motions in found.items()]
-        model, scale, origin = find_autoencoder(space, part, 0, config)
-        judge = make_judge(space, model, scale)
-        bins = report.speed_bins(rows[0].runs[0], judge)
-        scored = [report.numbers_of_row(row, judge, bins) for row in rows]
-        shown = space.test[spread(space.test, 1)[0]].name
-        told = {name: told_of(bundle, data) for name, bundle in models.items()}
-        result = report.numbers_of_space(space, judge, rows, scored, shown, bins, origin, told)
+        result = score_space(data, space, rows, models, part, 0, config)
         for name, motions in found.items():
             result["warnings"] += shorter_or_longer(space, name, motions)
-        numbers = numbers_of(data, [result | {"images": None, "videos": []}], config)
         remove_folder(part / "features")
-        report.write_report(part, data.path.resolve().name, numbers)
-    return numbers
+        return finish(data, [result], part, config)
 
 
 def _told_apart(systems: Sequence[Path]) -> tuple[dict[str, Bundle], dict[str, Path]]:

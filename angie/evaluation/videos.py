@@ -25,7 +25,7 @@ _AFTER = 0.35
 """Brightness of the last frame where a row's motion ends before the clip does."""
 
 
-def spread(clips: Sequence[MotionClip], count: int) -> list[int]:
+def in_turn(clips: Sequence[MotionClip], count: int) -> list[int]:
     """Numbers of `count` clips, speaker by speaker in turn."""
     seen: dict[str, int] = {}
     order = []
@@ -116,7 +116,7 @@ def write_videos(
     """
     stored = {clip.id: clip for clip in dataset.clips()}
     names = []
-    for index in spread(clips, count):
+    for index in in_turn(clips, count):
         clip = clips[index]
         source = dataset.frames(stored[clip.name])[0]
         columns = {}
