@@ -116,12 +116,48 @@ def renderable_affine(affine: Tensor) -> Tensor:
     return torch.where(outside, scaled, affine)
 
 
-def cholesky(covariance: Tensor) -> Tensor:
-    """Lower factor of positive definite (..., 2, 2) matrices, closed form, diagonal positive."""
-    a, b, d = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
-    l1 = torch.sqrt(torch.clamp(a, min=1e-12))
+EPSILON = 1e-5
+"""Smallest diagonal entry of a Cholesky factor (ANGIE, section 3.2: ReLU + 1e-5)."""
+
+
+def encode_cholesky(covariance: Tensor) -> Tensor:
+    """Lower Cholesky factors of 2x2 covariances in closed form.
+
+    For C = [[a, b], [b, d]]: l1 = sqrt(a), l2 = b / l1, l3 = sqrt(d - l2^2), computed in float32.
+    The floor on C itself belongs to the region estimator; here only the roots are kept real.
+
+    Args:
+        covariance: (..., 2, 2) symmetric positive definite.
+
+    Returns:
+        (..., 3) float32, (l1, l2, l3) with l1, l3 >= 1e-5.
+    """
+    covariance = covariance.float()
+    a, b, d = covariance[..., 0, 0], covariance[..., 1, 0], covariance[..., 1, 1]
+    l1 = a.clamp_min(EPSILON**2).sqrt()
     l2 = b / l1
-    l3 = torch.sqrt(torch.clamp(d - l2**2, min=1e-12))
+    l3 = (d - l2.square()).clamp_min(EPSILON**2).sqrt()
+    return torch.stack([l1, l2, l3], dim=-1)
+
+
+def decode_cholesky(cholesky: Tensor) -> Tensor:
+    """Covariances L L^T of Cholesky factors.
+
+    Args:
+        cholesky: (..., 3) float32, (l1, l2, l3).
+
+    Returns:
+        (..., 2, 2) float32, symmetric.
+    """
+    l1, l2, l3 = cholesky.float().unbind(-1)
+    off = l1 * l2
+    rows = torch.stack([l1.square(), off, off, l2.square() + l3.square()], dim=-1)
+    return rows.unflatten(-1, (2, 2))
+
+
+def cholesky(covariance: Tensor) -> Tensor:
+    """Lower factors (..., 2, 2) of covariances (..., 2, 2), as `encode_cholesky` gives them."""
+    l1, l2, l3 = encode_cholesky(covariance).unbind(-1)
     return torch.stack([l1, torch.zeros_like(l1), l2, l3], dim=-1).unflatten(-1, (2, 2))
 
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from mraa.affine import renderable
+from mraa.affine import encode_cholesky, renderable
 from mraa.affine import track_axes as follow
 from mraa.fast.fullsize import FullSize
 from mraa.fast.session import RenderSession
-from mraa.motion import Motion, encode_cholesky
+from mraa.motion import Motion
 from mraa.regions import Regions, regions_from_motion
 from mraa.renderer import Renderer
 

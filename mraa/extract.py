@@ -12,7 +12,8 @@ from data_prep.dataset import Clip, Dataset
 from data_prep.errors import BadInput
 from data_prep.files import whole_file
 from data_prep.progress import progress, spread
-from mraa.motion import Motion, encode_cholesky, read_motion, write_motion
+from mraa.affine import encode_cholesky
+from mraa.motion import Motion, read_motion, write_motion
 from mraa.regions import RegionEstimator
 from mraa.renderer import from_pixels
 

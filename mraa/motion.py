@@ -19,15 +19,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_prep.errors import BadInput
+from mraa.affine import EPSILON, decode_cholesky
 
 UNREADABLE = (
     OSError, KeyError, TypeError, ValueError, EOFError, SyntaxError,
     zipfile.BadZipFile, zlib.error, tokenize.TokenError,
 )  # fmt: skip
 """What reading a file of arrays raises that is damaged, or none."""
-
-EPSILON = 1e-5
-"""Smallest diagonal entry of a Cholesky factor (ANGIE, section 3.2: ReLU + 1e-5)."""
 
 FLOOR = 0.3
 CEILING = 1.5
@@ -101,41 +99,6 @@ class Motion:
     def covariance(self) -> Tensor:
         """Covariances (..., T, K, 2, 2), C = L L^T."""
         return decode_cholesky(self.cholesky)
-
-
-def encode_cholesky(covariance: Tensor) -> Tensor:
-    """Lower Cholesky factors of 2x2 covariances in closed form.
-
-    For C = [[a, b], [b, d]]: l1 = sqrt(a), l2 = b / l1, l3 = sqrt(d - l2^2), computed in float32.
-    The floor on C itself belongs to the region estimator; here only the roots are kept real.
-
-    Args:
-        covariance: (..., 2, 2) symmetric positive definite.
-
-    Returns:
-        (..., 3) float32, (l1, l2, l3) with l1, l3 >= 1e-5.
-    """
-    covariance = covariance.float()
-    a, b, d = covariance[..., 0, 0], covariance[..., 1, 0], covariance[..., 1, 1]
-    l1 = a.clamp_min(EPSILON**2).sqrt()
-    l2 = b / l1
-    l3 = (d - l2.square()).clamp_min(EPSILON**2).sqrt()
-    return torch.stack([l1, l2, l3], dim=-1)
-
-
-def decode_cholesky(cholesky: Tensor) -> Tensor:
-    """Covariances L L^T of Cholesky factors.
-
-    Args:
-        cholesky: (..., 3) float32, (l1, l2, l3).
-
-    Returns:
-        (..., 2, 2) float32, symmetric.
-    """
-    l1, l2, l3 = cholesky.float().unbind(-1)
-    off = l1 * l2
-    rows = torch.stack([l1.square(), off, off, l2.square() + l3.square()], dim=-1)
-    return rows.unflatten(-1, (2, 2))
 
 
 def pack_covariance(covariance: Tensor) -> Tensor:

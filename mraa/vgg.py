@@ -9,39 +9,26 @@ from torch import Tensor, nn
 
 from data_prep.errors import BadInput
 
-VGG19_CONVS = (2, 2, 4, 4, 4)
-"""Convolutions before each max pooling of VGG19."""
-
-VGG19_WIDTHS = (64, 128, 256, 512, 512)
-"""Channels of the five groups of convolutions of VGG19."""
-
 
 class Vgg(nn.Module):
-    """VGG19 up to relu5_1; taps after relu1_1, relu2_1, relu3_1, relu4_1, relu5_1. Frozen.
+    """A VGG's features, tapped after the first ReLU of every group (of VGG19: relu1_1 to relu5_1).
+
+    Frozen. Images are normalised as torchvision's networks want them.
 
     Args:
-        widths: channels of the five groups; the default is VGG19's.
-        convs: convolutions of the first four groups (of the fifth only the first is used).
+        features: convolutions, ReLUs and max poolings in order, such as torchvision's.
     """
 
     mean: Tensor
     std: Tensor
 
-    def __init__(
-        self,
-        widths: tuple[int, ...] = VGG19_WIDTHS,
-        convs: tuple[int, ...] = VGG19_CONVS,
-    ) -> None:
+    def __init__(self, features: nn.Sequential) -> None:
         super().__init__()
-        channels = 3
-        self.groups: list[list[nn.Conv2d]] = []
-        for width, count in zip(widths, (*convs[:-1], 1), strict=True):
-            group = []
-            for _ in range(count):
-                group.append(nn.Conv2d(channels, width, 3, padding=1))
-                channels = width
-            self.groups.append(group)
-        self.convs = nn.ModuleList(conv for group in self.groups for conv in group)
+        layers = list(features)
+        poolings = [i for i, layer in enumerate(layers) if isinstance(layer, nn.MaxPool2d)]
+        taps = [2, *(i + 3 for i in poolings if i + 3 <= len(layers))]  # behind conv and ReLU
+        cuts = zip([0, *taps[:-1]], taps, strict=True)
+        self.blocks = nn.ModuleList(nn.Sequential(*layers[a:b]) for a, b in cuts)
         self.register_buffer("mean", torch.tensor([0.485, 0.456, 0.406]).view(1, 3, 1, 1))
         self.register_buffer("std", torch.tensor([0.229, 0.224, 0.225]).view(1, 3, 1, 1))
         self.requires_grad_(False)
@@ -49,16 +36,12 @@ class Vgg(nn.Module):
     def forward(self, image: Tensor) -> list[Tensor]:
         """Five feature maps of images (B, 3, H, W) in [0, 1]; too small ones give fewer."""
         x = (image - self.mean) / self.std
-        taps = []
-        for index, group in enumerate(self.groups):
-            if index:
-                if min(x.shape[2:]) < 2:
-                    break
-                x = F.max_pool2d(x, 2)
-            for number, conv in enumerate(group):
-                x = F.relu(conv(x))
-                if number == 0:
-                    taps.append(x)
+        taps: list[Tensor] = []
+        for block in self.blocks:
+            if taps and min(x.shape[2:]) < 2:
+                break
+            x = block(x)
+            taps.append(x)
         return taps
 
 
@@ -68,26 +51,23 @@ def load_vgg19(path: Path) -> Vgg:
     Raises:
         BadInput: missing, unreadable, or not VGG19's tensors.
     """
+    from torchvision.models import vgg19  # takes a second
+
     path = Path(path)
     if not path.is_file():
         raise BadInput(f"{path}: no such file; leave perceptual_weights empty to do without")
+    with torch.device("meta"):  # neither memory nor time for weights that the file replaces
+        features = vgg19().features
     try:
         if path.suffix == ".safetensors":
             state = load_file(path)
         else:
             state = torch.load(path, map_location="cpu", weights_only=True)
-        vgg = Vgg()
-        position = 0  # index in torchvision's flat `features`
-        for index, group in enumerate(vgg.groups):
-            for number, conv in enumerate(group):
-                at = position + 2 * number
-                conv.load_state_dict(
-                    {name: state[f"features.{at}.{name}"] for name in ("weight", "bias")}
-                )
-            position += 2 * VGG19_CONVS[index] + 1
+        given = {k.removeprefix("features."): v for k, v in state.items() if k[:9] == "features."}
+        features.load_state_dict(given, assign=True)
     except Exception as error:  # any damaged or foreign file ends here
         raise BadInput(f"{path}: not a VGG19 state dict ({error})") from error
-    return vgg
+    return Vgg(features)
 
 
 def random_vgg(width: int = 64, seed: int = 0) -> Vgg:
@@ -101,19 +81,22 @@ def random_vgg(width: int = 64, seed: int = 0) -> Vgg:
         seed: of the weights.
     """
     generator = torch.Generator().manual_seed(seed)
-    vgg = Vgg(tuple(min(width * 2**i, 8 * width) for i in range(5)), (1, 1, 1, 1, 1))
+    widths = [3, *(min(width * 2**i, 8 * width) for i in range(5))]
+    layers: list[nn.Module] = []
+    for before, after in zip(widths, widths[1:], strict=False):
+        layers += [nn.Conv2d(before, after, 3, padding=1), nn.ReLU(), nn.MaxPool2d(2)]
+    vgg = Vgg(nn.Sequential(*layers))
     noise = torch.rand(1, 3, 256, 256, generator=generator)
     smooth = F.interpolate(
         torch.rand(1, 3, 16, 16, generator=generator), size=256, mode="bicubic"
     ).clamp(0, 1)
     x = (0.2 * noise + 0.8 * smooth - vgg.mean) / vgg.std
     with torch.no_grad():
-        for index, group in enumerate(vgg.groups):
-            conv = group[0]
+        for block in vgg.blocks:
+            conv = next(layer for layer in block.children() if isinstance(layer, nn.Conv2d))
             weight = torch.randn(conv.weight.shape, generator=generator)
             conv.weight.copy_(weight - weight.mean(dim=(1, 2, 3), keepdim=True) * 0.5)
             nn.init.zeros_(conv.bias)  # type: ignore[arg-type]
-            x = F.max_pool2d(x, 2) if index else x
-            conv.weight.div_(F.relu(conv(x)).std())
-            x = F.relu(conv(x))
+            conv.weight.div_(block(x).std())
+            x = block(x)
     return vgg

@@ -34,6 +34,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
+from torchvision.models import vgg19
 
 from angie.bundle import PHOTO
 from angie.config import preset
@@ -124,7 +125,7 @@ class Bench:
         self.compare = perceptual_loss(self.weights)
         if name == "paper":
             self.compare = PerceptualPyramid("random_vgg", width=1, weight=self.weights.perceptual)
-            self.compare.vgg = Vgg()
+            self.compare.vgg = Vgg(vgg19().features)
         self.compare = self.compare.to(**to)
         self.objective = Objective(self.renderer, self.weights, self.compare)
         self.optimizer = adam(self.renderer, self.weights, fused=not self.plain)

@@ -16,9 +16,10 @@ from angie.metrics.score import Score
 from angie.motion.clips import MotionClip
 from data_prep.dataset import Clip, Dataset
 from data_prep.rates import FPS
+from mraa.affine import encode_cholesky
 from mraa.draw import regions_of, render
 from mraa.fast.session import RenderSession
-from mraa.motion import Motion, encode_cholesky
+from mraa.motion import Motion
 from mraa.perceptual import ImageScores, PerceptualDistance
 from mraa.perceptual import score as image_scores
 from mraa.renderer import Renderer, from_pixels

@@ -20,14 +20,8 @@ from torch import Tensor
 
 from angie.motion.statistics import MotionStatistics
 from data_prep.errors import BadInput
-from mraa.motion import (
-    Motion,
-    decode_cholesky,
-    encode_cholesky,
-    integrate,
-    pack_covariance,
-    unpack_covariance,
-)
+from mraa.affine import decode_cholesky, encode_cholesky
+from mraa.motion import Motion, integrate, pack_covariance, unpack_covariance
 
 QUANTS = ("full", "no_quant", "mu_L", "dmu_L", "mu_dL", "no_cholesky")
 

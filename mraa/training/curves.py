@@ -1,17 +1,19 @@
-"""Learning curves of a stage: TensorBoard events, a table (CSV) and a picture (PNG).
+"""Learning curves of a stage and sheets of sample pictures.
 
-Sheets to look at: source, driving with regions, deformed source, occlusion, prediction.
+Curves are a table (CSV), a picture (PNG) and, where TensorBoard is installed, its events.
 """
 
 import colorsys
 import csv
-import math
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import cv2
+import imageio.v3 as iio
 import numpy as np
 import torch
+from scipy.ndimage import uniform_filter1d
 from torch import Tensor
 
 from data_prep.errors import BadInput
@@ -86,20 +88,15 @@ def sample_sheet(renderer: Renderer, source: Tensor, driving: Tensor, rows: int 
 def write_sheet(path: Path, sheet: np.ndarray) -> None:
     """Write a sheet (H, W, 3) uint8 RGB as PNG, making its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    # OpenCV itself does not write to every name on every system
-    path.write_bytes(cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))[1].tobytes())
+    iio.imwrite(path, sheet, extension=".png")
 
 
 Points = dict[str, list[tuple[int, float]]]
 """(step, value) of every curve."""
 
 
-PANEL = (480, 240)
-"""Width and height of a curve's panel in pixels."""
-
-
 class Curves:
-    """Curves of a stage in `folder`: `<stage>/` for TensorBoard, `<stage>.csv`, `<stage>.png`.
+    """Curves of a stage in `folder`: `<stage>.csv`, `<stage>.png`, `<stage>/` for TensorBoard.
 
     Args:
         folder: is made if need be.
@@ -113,9 +110,11 @@ class Curves:
     def __init__(self, folder: Path, stage: str, first: int) -> None:
         self.folder, self.stage = Path(folder), stage
         self._points: Points = _read(self.table, first) if first else {}
-        from torch.utils.tensorboard import SummaryWriter
+        self._events: Any = None
+        if find_spec("tensorboard"):
+            from torch.utils.tensorboard import SummaryWriter
 
-        self._events: Any = SummaryWriter(str(self.folder / stage), purge_step=first)
+            self._events = SummaryWriter(str(self.folder / stage), purge_step=first)
 
     @property
     def table(self) -> Path:
@@ -126,26 +125,31 @@ class Curves:
         """Add a point to several curves."""
         for name, value in values.items():
             self._points.setdefault(name, []).append((step, value))
-            self._events.add_scalar(name, value, step)
+            if self._events is not None:
+                self._events.add_scalar(name, value, step)
 
     def image(self, name: str, picture: np.ndarray, step: int) -> None:
-        """Show a picture (H, W, 3) uint8 RGB in TensorBoard."""
-        self._events.add_image(name, picture, step, dataformats="HWC")
+        """Show a picture (H, W, 3) uint8 RGB in TensorBoard, where that is installed."""
+        if self._events is not None:
+            self._events.add_image(name, picture, step, dataformats="HWC")
 
     def write(self) -> None:
         """Bring the files up to date."""
-        self._events.flush()
+        if self._events is not None:
+            self._events.flush()
         with whole_file(self.table, force=True) as part:
             with part.open("w", newline="") as file:
                 rows = csv.writer(file)
                 rows.writerow(("step", "name", "value"))
                 for name, points in self._points.items():
                     rows.writerows((step, name, repr(value)) for step, value in points)
-        write_sheet(self.folder / f"{self.stage}.png", draw_curves(self._points))
+        with whole_file(self.folder / f"{self.stage}.png", force=True) as part:
+            draw_curves(self._points, part)
 
     def close(self) -> None:
         """Write what is left; the files stay."""
-        self._events.close()
+        if self._events is not None:
+            self._events.close()
 
 
 def _read(table: Path, first: int) -> Points:
@@ -165,59 +169,37 @@ def _read(table: Path, first: int) -> Points:
     return points
 
 
-def draw_curves(points: Points) -> np.ndarray:
-    """A panel for every curve, two in a row: points in grey, their running mean in blue.
+def draw_curves(points: Points, path: Path) -> None:
+    """Draw a panel for every curve, two in a row: points in grey, their running mean in blue.
 
     The axis is logarithmic where all values are positive and the largest is over 20 times the
-    smallest. Points that are no finite numbers are left out.
+    smallest. Points that are not finite are left out.
 
-    Returns:
-        (H, W, 3) uint8 RGB.
+    Args:
+        points: of every curve.
+        path: of the PNG file.
     """
-    panels = [_panel(name, curve) for name, curve in points.items()]
-    blank = np.full((PANEL[1], PANEL[0], 3), 255, np.uint8)
-    panels += [blank] * (-len(panels) % 2 or 2 * (not panels))
-    rows = [np.hstack(panels[i : i + 2]) for i in range(0, len(panels), 2)]
-    return np.vstack(rows)
+    from matplotlib.figure import Figure  # takes a second
 
-
-def _panel(name: str, curve: list[tuple[int, float]]) -> np.ndarray:
-    width, height = PANEL
-    left, right, top, bottom = 70, width - 15, 30, height - 25
-    panel = np.full((height, width, 3), 255, np.uint8)
-    _write(panel, name, (left, 20), 0.5)
-    cv2.rectangle(panel, (left, top), (right, bottom), (200, 200, 200), 1)
-    finite = [(step, value) for step, value in curve if math.isfinite(value)]
-    if not finite:
-        return panel
-    steps, values = (np.array(column, dtype=np.float64) for column in zip(*finite, strict=True))
-    logarithmic = values.min() > 0 and values.max() > 20 * values.min()
-    heights = np.log(values) if logarithmic else values
-    low, high = float(heights.min()), float(heights.max())
-
-    def place(line: np.ndarray) -> np.ndarray:
-        x = left + (right - left) * (steps - steps[0]) / max(1.0, steps[-1] - steps[0])
-        y = bottom - (bottom - top) * (line - low) / max(high - low, 1e-12)
-        return np.round(16 * np.stack([x, y], axis=1)).astype(np.int32)  # in 16ths of a pixel
-
-    for line, colour in ((heights, (190, 190, 190)), (_smooth(heights), (30, 80, 200))):
-        cv2.polylines(panel, [place(line)], False, colour, 1, cv2.LINE_AA, shift=4)
-    for value, y in ((values.max(), top + 10), (values.min(), bottom)):
-        _write(panel, f"{value:.4g}", (5, y), 0.4)
-    _write(panel, f"{int(steps[0])}", (left, height - 8), 0.4)
-    _write(panel, f"{int(steps[-1])}", (right - 50, height - 8), 0.4)
-    _write(panel, f"last {values[-1]:.4g}{', log' if logarithmic else ''}", (right - 150, 20), 0.4)
-    return panel
+    rows = max(1, -(-len(points) // 2))
+    figure = Figure(figsize=(9.6, 2.4 * rows), layout="constrained")
+    for place, (name, curve) in enumerate(points.items(), 1):
+        axes = figure.add_subplot(rows, 2, place)
+        steps, values = np.array(curve, dtype=np.float64).reshape(-1, 2).T
+        steps, values = steps[np.isfinite(values)], values[np.isfinite(values)]
+        last = f", last {values[-1]:.4g}" if len(values) else ""
+        axes.set_title(f"{name}{last}", fontsize=9)
+        if not len(values):
+            continue
+        logarithmic = values.min() > 0 and values.max() > 20 * values.min()
+        axes.set_yscale("log" if logarithmic else "linear")
+        axes.plot(steps, values, color="0.75", linewidth=0.8)
+        smooth = np.exp(_smooth(np.log(values))) if logarithmic else _smooth(values)
+        axes.plot(steps, smooth, color="tab:blue", linewidth=1.2)
+    figure.savefig(path, dpi=100)
 
 
 def _smooth(line: np.ndarray) -> np.ndarray:
     """Mean over a twentieth of the points on either side."""
     reach = len(line) // 20
-    total = np.concatenate([[0.0], np.cumsum(line)])
-    low = np.maximum(np.arange(len(line)) - reach, 0)
-    high = np.minimum(np.arange(len(line)) + reach + 1, len(line))
-    return (total[high] - total[low]) / (high - low)
-
-
-def _write(panel: np.ndarray, text: str, at: tuple[int, int], size: float) -> None:
-    cv2.putText(panel, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, (60, 60, 60), 1, cv2.LINE_AA)
+    return uniform_filter1d(line, 2 * reach + 1, mode="nearest")

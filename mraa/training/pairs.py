@@ -110,29 +110,25 @@ def _zoom(pair: np.ndarray, part: float, random: np.random.Generator) -> np.ndar
 
 
 def _jitter(pair: np.ndarray, how: Augmentation, random: np.random.Generator) -> np.ndarray:
-    """Brightness, contrast, saturation and hue in random order, on float32 in [0, 1]."""
-    image: np.ndarray = (
-        pair.reshape(-1, pair.shape[2], 3).astype(np.float32) / 255
-    )  # frames stacked in y
+    """Brightness, contrast, saturation and hue in random order."""
+    from kornia import enhance  # takes half a second, and only training needs it
 
-    def factor(amount: float) -> np.float32:
-        return np.float32(random.uniform(1 - amount, 1 + amount))
-
-    brightness, contrast, saturation = map(factor, (how.brightness, how.contrast, how.saturation))
-    turn = 360 * random.uniform(-how.hue, how.hue)
+    brightness, contrast, saturation = (
+        float(random.uniform(1 - amount, 1 + amount))
+        for amount in (how.brightness, how.contrast, how.saturation)
+    )
+    turn = 2 * np.pi * random.uniform(-how.hue, how.hue)
+    changes = (
+        (enhance.adjust_brightness_accumulative, brightness),
+        (enhance.adjust_contrast_with_mean_subtraction, contrast),
+        (enhance.adjust_saturation_with_gray_subtraction, saturation),
+        (enhance.adjust_hue, turn),
+    )
+    stacked = torch.from_numpy(np.concatenate(pair))  # (2H, W, 3): one mean for both frames
+    image = stacked.permute(2, 0, 1).contiguous().float() / 255
     for kind in random.permutation(4):
-        if kind == 0:
-            image = image * brightness
-        elif kind == 1:
-            image = image * contrast + cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).mean() * (
-                1 - contrast
-            )
-        elif kind == 2:
-            grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None]
-            image = image * saturation + grey * (1 - saturation)
-        elif how.hue:
-            hsv = cv2.cvtColor(image, cv2.COLOR_RGB2HSV)
-            hsv[..., 0] = (hsv[..., 0] + turn) % 360
-            image = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)
-        image = np.clip(image, 0, 1).astype(np.float32)
-    return np.round(image * 255).astype(np.uint8).reshape(pair.shape)
+        change, amount = changes[kind]
+        if change is not enhance.adjust_hue or how.hue:
+            image = change(image, amount)
+    image = (image * 255).round().byte().permute(1, 2, 0)
+    return image.numpy().reshape(pair.shape)

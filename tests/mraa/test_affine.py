@@ -1,7 +1,9 @@
 import math
 
+import numpy as np
 import pytest
 import torch
+from scipy.linalg import sqrtm
 
 from mraa.affine import (
     MAX_AXIS_RATIO,
@@ -175,3 +177,12 @@ def test_renderable_clamps_axes_and_their_ratio():
     torch.testing.assert_close(eigenvalues[0], torch.full((2,), MIN_AXIS**2))
     wanted = torch.tensor([0.25 / MAX_AXIS_RATIO**2, 0.25])
     torch.testing.assert_close(eigenvalues[1], wanted)
+
+
+def test_the_symmetric_root_is_that_of_scipy():
+    torch.manual_seed(1)
+    half = torch.randn(5, 2, 2)
+    covariance = half @ half.mT + 0.05 * torch.eye(2)
+    wanted = [sqrtm(c.double().numpy()) for c in covariance]
+    root = affine_from_covariance(covariance, "sym")
+    np.testing.assert_allclose(root.numpy(), np.stack(wanted), atol=1e-5)

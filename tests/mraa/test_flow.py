@@ -2,7 +2,9 @@ from dataclasses import replace
 
 import pytest
 import torch
+from kornia.filters import gaussian_blur2d
 
+from mraa.blocks import AntiAliasDown
 from mraa.flow import region_heatmap, sparse_motions
 from mraa.grid import coordinate_grid, warp
 from mraa.losses import random_thin_plate
@@ -124,3 +126,15 @@ def test_the_deep_generator_paints_by_the_pose():
     torch.testing.assert_close(
         renderer.generator.decode(image, features, shown), image, atol=2e-3, rtol=0
     )
+
+
+@pytest.mark.parametrize("scale", [0.5, 0.25, 0.125])
+def test_the_low_pass_is_the_gaussian_blur_of_kornia(scale):
+    """MRAA's sigma for a reduction by s is (s - 1) / 2, its window 2 round(4 sigma) + 1."""
+    torch.manual_seed(0)
+    image, step = torch.rand(1, 3, 64, 64), round(1 / scale)
+    sigma = (step - 1) / 2
+    size = 2 * round(4 * sigma) + 1
+    wanted = gaussian_blur2d(image, (size, size), (sigma, sigma), border_type="constant")
+    small = AntiAliasDown(3, scale)(image)
+    torch.testing.assert_close(small, wanted[..., ::step, ::step], atol=1e-6, rtol=0)

@@ -3,17 +3,8 @@ import pytest
 import torch
 
 from data_prep.errors import BadInput
-from mraa.motion import (
-    Motion,
-    decode_cholesky,
-    deltas,
-    encode_cholesky,
-    integrate,
-    positive,
-    read_motion,
-    render_floor,
-    write_motion,
-)
+from mraa.affine import decode_cholesky, encode_cholesky
+from mraa.motion import Motion, deltas, integrate, positive, read_motion, render_floor, write_motion
 
 
 def covariances(count: int, seed: int = 0) -> torch.Tensor:

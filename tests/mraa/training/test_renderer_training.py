@@ -1,3 +1,4 @@
+import colorsys
 import dataclasses
 
 import numpy as np
@@ -215,3 +216,25 @@ def test_flips():
     how = Augmentation(1, 1, 0, 0, 0, 0)
     made = augment(pair, how, np.random.default_rng(0))
     assert made[1, 0, 3, 0] == 200 and made.sum() == pair.sum()
+
+
+def test_colours_change_by_the_hand_worked_amounts():
+    """Grey 100 and 200: contrast pulls both towards their mean over both frames, 150."""
+    pair = np.full((2, 4, 4, 3), 100, np.uint8)
+    pair[1] = 200
+    only = Augmentation(0, 0, 0, 0.5, 0, 0)
+    made = augment(pair, only, np.random.default_rng(3))
+    random = np.random.default_rng(3)
+    random.random(2)  # the flips
+    factor = [random.uniform(1 - amount, 1 + amount) for amount in (0, 0.5)][1]
+    assert abs(factor - 1) > 0.05
+    wanted = np.clip([150 - 50 * factor, 150 + 50 * factor], 0, 255)
+    assert np.abs(made[:, 0, 0, 0] - wanted).max() <= 0.51
+    red = np.zeros((2, 4, 4, 3), np.uint8)
+    red[..., 0] = 255
+    turned = augment(red, Augmentation(0, 0, 0, 0, 0, 0.5), np.random.default_rng(1))[0, 0, 0]
+    random = np.random.default_rng(1)
+    random.random(2)
+    random.uniform(size=3)  # the other three
+    hue = random.uniform(-0.5, 0.5) % 1
+    assert np.abs(turned / 255 - colorsys.hsv_to_rgb(hue, 1, 1)).max() < 0.01
