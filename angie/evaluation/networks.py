@@ -1,11 +1,13 @@
 """What scoring needs besides the clips: trained for it, stored in the report, named by hash."""
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from safetensors.torch import save_file
 
@@ -152,7 +154,7 @@ def find_autoencoder(
         cut = _standard_windows(space.train, scale)
         if len(cut) < 2:
             return None, scale, {"auto-encoder of FGD": "none, too few training windows"}
-        model = train_autoencoder(cut, training, config.seed)
+        model = _train(cut, folder / "train", training, config.seed)
         save_autoencoder(path, model, scale, space.estimator, FPS, training, config.seed)
     kept = {
         name: f"{explained(model, cut):.3f}"
@@ -164,6 +166,19 @@ def find_autoencoder(
         "its training": told,
         "variance it keeps": kept,
     }  # fmt: skip
+
+
+def _train(
+    cut: NDArray, folder: Path, training: AutoencoderTraining, seed: int
+) -> MotionAutoencoder:
+    """The auto-encoder trained on windows; what the training leaves in `folder` goes again."""
+    from mraa.training.run import Run, RunConfig
+
+    with torch.random.fork_rng(devices=[]):
+        run = Run(folder, "fgd", steps=training.steps(len(cut)), seed=seed, config=RunConfig("cpu"))
+        model = train_autoencoder(cut, run, training)
+    shutil.rmtree(folder)
+    return model
 
 
 def _standard_windows(clips: Sequence[MotionClip], scale: MotionScale) -> NDArray:

@@ -8,7 +8,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -18,7 +18,9 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from data_prep.errors import BadInput
-from data_prep.progress import progress
+
+if TYPE_CHECKING:
+    from mraa.training.run import Run
 
 FORMAT = 1
 KEY = "fgd"
@@ -115,6 +117,11 @@ class AutoencoderTraining:
     epochs: int = 500
     most_steps: int | None = 3000
 
+    def steps(self, windows: int) -> int:
+        """Steps of a training on so many windows."""
+        steps = self.epochs * max(1, round(windows / self.batch))
+        return min(steps, self.most_steps or steps)
+
 
 def reconstruction_loss(made: Tensor, motion: Tensor) -> Tensor:
     """Sum over the batch of the mean L1 error and that of the frames' differences."""
@@ -124,14 +131,14 @@ def reconstruction_loss(made: Tensor, motion: Tensor) -> Tensor:
 
 
 def train_autoencoder(
-    motion: NDArray, training: AutoencoderTraining | None = None, seed: int = 0
+    motion: NDArray, run: "Run", training: AutoencoderTraining | None = None
 ) -> MotionAutoencoder:
     """Train the auto-encoder on standardised windows; in eval mode afterwards.
 
     Args:
         motion: (n, L, D) windows of the training split, n at least 2.
+        run: of `training.steps(n)` steps; weights and order follow from its seed.
         training: how.
-        seed: of weights and order; torch's global state is left as it was.
 
     Raises:
         ValueError: fewer than two windows.
@@ -140,23 +147,15 @@ def train_autoencoder(
         raise ValueError("the auto-encoder needs at least two windows")
     training = training or AutoencoderTraining()
     data = torch.from_numpy(np.asarray(motion, np.float32))
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        model = MotionAutoencoder(data.shape[2], data.shape[1]).train()
-        optimizer = torch.optim.Adam(model.parameters(), training.rate, training.betas)
-        batches = max(1, round(len(data) / training.batch))  # a batch of one has no deviation
-        steps = training.epochs * batches
-        steps = min(steps, training.most_steps or steps)
-        order: list[Tensor] = []
-        with progress("auto-encoder of FGD", steps) as advance:
-            for _ in range(steps):
-                order = order or list(torch.randperm(len(data)).tensor_split(batches))
-                batch = data[order.pop()]
-                loss = reconstruction_loss(model(batch), batch)
-                optimizer.zero_grad()
-                loss.backward()
-                optimizer.step()
-                advance()
+    model = MotionAutoencoder(data.shape[2], data.shape[1])
+    optimizer = torch.optim.Adam(model.parameters(), training.rate, training.betas)
+    learner = run.add(KEY, model, optimizer)
+    batches = run.batches(data, min(training.batch, len(data)))
+    for _ in run.steps():
+        batch = next(batches)
+        loss = reconstruction_loss(learner(batch), batch)
+        run.update(loss, KEY)
+        run.log(loss=loss)
     return model.eval().requires_grad_(False)
 
 

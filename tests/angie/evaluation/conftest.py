@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from angie.evaluation.space import RegionSpace, points
-from angie.metrics.autoencoder import AutoencoderTraining, MotionAutoencoder, train_autoencoder
+from angie.metrics.autoencoder import MotionAutoencoder, train_autoencoder
 from angie.metrics.autoencoder import windows as cut
 from angie.motion.clips import MotionClip
 from angie.motion.statistics import measure
 from data_prep.speech.features import Speech
 from data_prep.speech.synchrony import smooth_minima, steps
+from mraa.training.run import Run, RunConfig
 
 
 def heard(clip: MotionClip) -> MotionClip:
@@ -30,8 +31,9 @@ def space(clips) -> RegionSpace:
 
 
 @pytest.fixture(scope="session")
-def model(space) -> MotionAutoencoder:
+def model(space, tmp_path_factory) -> MotionAutoencoder:
     """An auto-encoder trained for a moment."""
     scale = space.scale
     clips = [scale.standard(c.motion.vector().numpy(), c.speaker) for c in space.train]
-    return train_autoencoder(cut(clips), AutoencoderTraining(most_steps=20))
+    run = Run(tmp_path_factory.mktemp("fgd"), "fgd", steps=20, config=RunConfig("cpu"))
+    return train_autoencoder(cut(clips), run)

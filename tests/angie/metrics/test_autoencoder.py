@@ -17,8 +17,14 @@ from angie.metrics.autoencoder import (
     windows,
 )
 from data_prep.errors import BadInput
+from mraa.training.run import Run, RunConfig
 
-SHORT = AutoencoderTraining(batch=16, most_steps=60, rate=5e-3)
+SHORT = AutoencoderTraining(batch=16, rate=5e-3)
+
+
+def trained(motion, folder, seed, steps=60):
+    run = Run(folder, "fgd", steps=steps, seed=seed, config=RunConfig("cpu"))
+    return train_autoencoder(motion, run, SHORT)
 
 
 @pytest.mark.parametrize(("frames", "flat"), [(34, 384), (64, 864), (96, 1376)])
@@ -54,24 +60,27 @@ def motion() -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def model(motion) -> MotionAutoencoder:
-    return train_autoencoder(motion, SHORT, seed=1)
+def model(motion, tmp_path_factory) -> MotionAutoencoder:
+    return trained(motion, tmp_path_factory.mktemp("fgd"), 1)
 
 
-def test_training_learns_and_follows_from_the_seed(motion, model):
+def test_training_learns_and_follows_from_the_seed(motion, model, tmp_path):
     assert explained(model, motion) > 0.5
-    untrained = train_autoencoder(motion, AutoencoderTraining(most_steps=1), seed=1)
-    assert explained(untrained, motion) < 0.1
+    assert explained(trained(motion, tmp_path, 1, steps=1), motion) < 0.1
     torch.manual_seed(5)
-    before = torch.random.get_rng_state()
-    again = train_autoencoder(motion, SHORT, seed=1)
-    assert torch.equal(torch.random.get_rng_state(), before)
+    again = trained(motion, tmp_path, 1)
     assert np.array_equal(encode_windows(model, motion), encode_windows(again, motion))
-    other = train_autoencoder(motion, SHORT, seed=2)
+    other = trained(motion, tmp_path, 2)
     assert not np.allclose(encode_windows(model, motion), encode_windows(other, motion))
     assert encode_windows(model, motion[:0]).shape == (0, 32)
     with pytest.raises(ValueError, match="two windows"):
-        train_autoencoder(motion[:1])
+        train_autoencoder(motion[:1], None)
+
+
+def test_steps_are_those_of_the_epochs_up_to_a_bound():
+    training = AutoencoderTraining(batch=16, epochs=3, most_steps=10)
+    assert [training.steps(windows) for windows in (2, 33, 64)] == [3, 6, 10]
+    assert AutoencoderTraining(batch=16, epochs=3, most_steps=None).steps(640) == 120
 
 
 def test_a_file_holds_all_that_the_features_depend_on(motion, model, tmp_path):
