@@ -1,49 +1,50 @@
 """Speaker bundles: a folder with `bundle.json` and one safetensors file a part.
 
-    bundle.json            format, sizes, speakers, crop, hashes, what was trained on what
-    renderer.safetensors   region estimator, background, flow, image generator
-    statistics.safetensors normalisation, ranges and rest poses of the motion
-    vq.safetensors         VQ motion extractor
-    gpt.safetensors        co-speech GPT
-    refiner.safetensors    refiner
-    avd.safetensors        the renderer's disentanglement network; optional, for driving videos
-    train/                 checkpoints, curves and caches of training; may be deleted
+    bundle.json                 format, settings, speakers, crop, hashes, what was trained on what
+    renderer.safetensors        region estimator, background, flow, image generator
+    statistics.safetensors      scales, ranges and rest poses of the motion
+    avd.safetensors             the renderer's disentanglement network; optional, for driving videos
+    GENERATOR.PART.safetensors  weights or data of a gesture generator; there may be several
+    train/                      checkpoints, curves and caches of training; may be deleted
 
 Every part remembers the hashes of the parts that it was trained on; loading refuses others.
 
-Styles: whose way of gesturing a joint model takes.
-
-A style is a training speaker's embedding in the GPT and nothing else. Pose, place and size stay
-those of the photo, or of whatever motion begins with; drawing a stranger toward the rest pose of
-the training speaker would move the body to where that one sat.
+Styles: whose way of gesturing a generator takes. A style is what a generator has learnt of a
+training speaker and nothing else. Pose, place and size stay those of the photo, or of whatever
+motion begins with; drawing a stranger toward the rest pose of the training speaker would move the
+body to where that one sat.
 
 What ships with the package: a speaker bundle, a photo and a recording of our own.
 """
 
 import dataclasses
-import hashlib
 import json
 import os
-import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
-from torch import Tensor, nn
+from torch import Tensor
 
 from angie import __version__
-from angie.config import Preset, override
-from angie.generators.angie.direct import DirectMotion
-from angie.generators.angie.generate import AngieGenerator
-from angie.generators.angie.gpt import CoSpeechGPT
-from angie.generators.angie.refiner import Refiner
-from angie.generators.angie.tokenizer import VQConfig, VQMotionExtractor
-from angie.layers.packed_linear import pack, product_type
+from angie.config import Preset, stored
+from angie.generators import DEFAULT as DEFAULT_GENERATOR
+from angie.generators import family
+from angie.generators.base import GestureGenerator
 from angie.motion.statistics import MotionStatistics
+from angie.parts import (
+    OPTIONAL,
+    UPSTREAM,
+    changed,
+    load_weights,
+    sizes_of,
+    source_commit,
+    stage_options,
+    upstream_of,
+)
 from data_prep.errors import BadInput
 from data_prep.files import whole_file
 from data_prep.prepare.source import sha256
@@ -51,59 +52,13 @@ from data_prep.rates import FPS, IMAGE_SIZE
 from mraa.avd import AvdNetwork
 from mraa.renderer import Renderer, make_avd
 
-FORMAT = 1
-"""Version of the bundle's layout; loading refuses newer ones."""
-
-
-_SECTION = {
-    "renderer": "renderer",
-    "vq": "vq",
-    "gpt": "gpt",
-    "refiner": "refiner",
-    "avd": "renderer",
-}
-
-
-_ENTRY = {"file", "sha256", "upstream", "sizes", "report"}
-
-
-UPSTREAM = {
-    "renderer": (),
-    "statistics": ("renderer",),
-    "vq": ("renderer", "statistics"),
-    "gpt": ("statistics", "vq"),
-    "refiner": ("statistics", "vq"),
-    "avd": ("renderer",),
-}
-"""Parts of a bundle in the order of training, each with those that it is trained on."""
-
-
-OPTIONAL = ("avd",)
-"""Parts that a bundle may lack and still be whole."""
-
-
-PARTS = tuple(part for part in UPSTREAM if part not in OPTIONAL)
-"""Parts that gesturing to speech needs, with regions and codes; see `Bundle.parts`."""
-
-
-STAGE_OF = {"statistics": "motion"}
-"""Name of the training stage that makes a part, where it is not the part's own name."""
-
+FORMAT = 2
+"""Version of the bundle's layout; loading refuses newer ones and reads format 1."""
 
 TRAIN = "train"
 """Folder in a bundle for checkpoints, curves and caches."""
 
-
-def source_commit() -> str:
-    """Commit of the source tree that runs, or "" for an installed package."""
-    root = Path(__file__).resolve().parents[1]
-    if not (root / ".git").exists():
-        return ""
-    command = ["git", "-C", str(root), "rev-parse", "HEAD"]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
-    except OSError:  # git is not installed
-        return ""
+_ENTRY = {"file", "sha256", "upstream", "settings", "report"}
 
 
 @dataclass
@@ -127,7 +82,7 @@ class Bundle:
             "fps": FPS,
             "size": IMAGE_SIZE,
             "crop": {},
-            "config": dataclasses.asdict(preset),
+            "config": {},
             "parts": {},
         }
         bundle = cls(folder, manifest, preset)
@@ -152,10 +107,17 @@ class Bundle:
                     f"{folder}: bundle format {manifest['format']} is newer than {FORMAT}; "
                     "update angie"
                 )
-            preset = override(Preset(), manifest["config"])
+            if manifest["format"] == 1:
+                from angie.generators.angie.format1 import upgrade
+
+                manifest = upgrade(manifest)
+            preset = stored(manifest["config"])
+            bundle = cls(folder, manifest, preset)
             for part, entry in manifest["parts"].items():
-                if entry.keys() != _ENTRY or entry["file"] != f"{part}.safetensors":
+                if entry.keys() != _ENTRY or not _is_name(entry["file"]):
                     raise BadInput(f"{part} is not described as it should be")
+                if entry["settings"] is None:
+                    entry["settings"] = bundle.sizes_of(part)
             texts = [manifest[key] for key in ("angie", "preset", "size", "fps", "crop")]
             if not all(isinstance(name, str) for name in manifest["speakers"]) or not texts:
                 raise BadInput("speakers must be names")
@@ -163,10 +125,11 @@ class Bundle:
             raise BadInput(f"{path}: {error}") from error
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise BadInput(f"{path}: not a readable manifest ({error!r})") from error
-        return cls(folder, manifest, preset)
+        return bundle
 
     def write(self) -> None:
         """Write the manifest, whole or not at all."""
+        self.manifest["config"] = dataclasses.asdict(self.preset)
         with whole_file(self.folder / "bundle.json", force=True) as part:
             part.write_text(json.dumps(self.manifest, indent=1) + "\n")
 
@@ -176,19 +139,60 @@ class Bundle:
         return self.folder / TRAIN
 
     @property
+    def generators(self) -> list[str]:
+        """Names of the generators that the bundle has, or that are to be trained."""
+        return list(self.preset.generators)
+
+    def chosen(self, name: str | None = None) -> str:
+        """Name of the generator that is meant; None is the default one, else the first.
+
+        Raises:
+            BadInput: the bundle has no such generator.
+        """
+        there = self.generators
+        if name is None and there:
+            return DEFAULT_GENERATOR if DEFAULT_GENERATOR in there else there[0]
+        if name not in there:
+            known = ", ".join(there) or "none"
+            raise BadInput(
+                f"--generator {name or DEFAULT_GENERATOR}: {self.folder} has {known}; "
+                "angie train DATASET -o BUNDLE --generator NAME adds one"
+            )
+        return name
+
+    def settings(self, family: str) -> Any:
+        """Settings of a generator."""
+        return self.preset.settings(family)
+
+    @property
     def parts(self) -> list[str]:
-        """Parts that a whole bundle of this preset has, in the order of training."""
-        preset = self.preset
-        absent = {
-            "renderer": preset.points,
-            "avd": preset.points,
-            "gpt": preset.vq.quant == "no_quant",
-        }
-        return [part for part in UPSTREAM if not absent.get(part)]
+        """Parts that a whole bundle with these generators has, in the order of training."""
+        own = [part for name in self.generators for part in self.parts_of(name)]
+        return [part for part in [*UPSTREAM, *own] if part not in OPTIONAL and self._used(part)] + [
+            part for part in OPTIONAL if self._used(part)
+        ]
+
+    def parts_of(self, generator: str) -> list[str]:
+        """Parts of one generator in the order of training; not installed, those that are there."""
+        try:
+            stages = family(generator).wanted(self.settings(generator))
+        except BadInput:
+            return [part for part in self.manifest["parts"] if part.startswith(f"{generator}.")]
+        return [f"{generator}.{stage.name}" for stage in stages]
+
+    def needed(self, generator: str | None = None) -> list[str]:
+        """Parts that gesturing to speech with a generator needs."""
+        shared = [part for part in UPSTREAM if part not in OPTIONAL and self._used(part)]
+        return [*shared, *self.parts_of(self.chosen(generator))]
+
+    def _used(self, part: str) -> bool:
+        """Whether there is such a part; models of joints draw nothing."""
+        return not (self.preset.points and part in ("renderer", "avd"))
 
     def upstream(self, part: str) -> list[str]:
         """Parts of this bundle that a part is trained on."""
-        return [name for name in UPSTREAM[part] if name in self.parts]
+        there = self.parts
+        return [name for name in upstream_of(part) if name in there]
 
     def has(self, part: str) -> bool:
         """Whether a part is whole, of the present sizes, and trained on the present parts."""
@@ -198,21 +202,18 @@ class Bundle:
             return False
         return True
 
-    def sizes_of(self, part: str) -> str:
-        """Hash of the settings that make a part's architecture."""
-        section = _SECTION.get(part)
-        value = {} if section is None else _sizes(getattr(self.preset, section), part)
-        if part == "vq" and self.preset.vq.quant == "no_quant":
-            value = {**value, "gpt": _sizes(self.preset.gpt, "gpt")}  # holds the transformer too
-        vq = self.preset.vq
-        has_codes = part in ("gpt", "refiner") and vq.quant != "no_quant"
-        if has_codes and vq.context != VQConfig.context:
-            value = {**value, "context": vq.context}  # what the codes mean to them
-        return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+    def sizes_of(self, part: str) -> dict[str, Any]:
+        """The settings that a part depends on, as plain values."""
+        return sizes_of(part, self.preset)
 
     def hash_of(self, part: str) -> str:
         """Hash of a part as the manifest states it."""
         return str(self.manifest["parts"][part]["sha256"])
+
+    def report(self, part: str) -> dict[str, Any]:
+        """What was said of a part when it was trained."""
+        report: dict[str, Any] = self.manifest["parts"][part]["report"]
+        return report
 
     def add(self, part: str, tensors: Mapping[str, Tensor] | Path, report: dict[str, Any]) -> None:
         """Put a trained part into the bundle.
@@ -232,7 +233,7 @@ class Bundle:
             "file": path.name,
             "sha256": sha256(path),
             "upstream": {name: self.hash_of(name) for name in self.upstream(part)},
-            "sizes": self.sizes_of(part),
+            "settings": self.sizes_of(part),
             "report": {"angie": __version__, "commit": source_commit(), **report},
         }
         self.write()
@@ -243,166 +244,128 @@ class Bundle:
         Raises:
             BadInput: missing, changed, or trained on other parts.
         """
-        stage = STAGE_OF.get(part, part)
         if part not in self.parts and self.preset.points:
             raise BadInput(
                 f"{self.folder}: is a model of joints, which draws no pictures; angie gestures "
                 "writes its motion"
             )
-        entry = self.manifest["parts"].get(part)
+        entry, how = self.manifest["parts"].get(part), f"angie train {stage_options(part)}"
         if entry is None:
-            raise BadInput(f"{self.folder}: has no {part} yet; run angie train --stage {stage}")
+            raise BadInput(f"{self.folder}: has no {part} yet; run {how}")
         path = self.folder / entry["file"]
         if not path.is_file():
-            raise BadInput(
-                f"{path}: missing from the bundle; copy it again or train --stage {stage}"
-            )
+            raise BadInput(f"{path}: missing from the bundle; copy it again or run {how}")
         if sha256(path) != entry["sha256"]:
             raise BadInput(f"{path}: not the file that bundle.json describes (wrong hash)")
-        if entry["sizes"] != self.sizes_of(part):
+        other = changed(part, entry["settings"], self.preset)
+        if other:
             raise BadInput(
-                f"{self.folder}: {part} was trained with other settings than bundle.json states; "
-                f"run angie train --stage {stage} again"
+                f"{self.folder}: {part} was trained with other settings than bundle.json states "
+                f"({other}); run {how} again"
             )
         for name in self.upstream(part):
             self.path_of(name)
             if entry["upstream"].get(name) != self.hash_of(name):
                 raise BadInput(
-                    f"{self.folder}: {part} was trained on another {name}; "
-                    f"run angie train --stage {stage} again"
+                    f"{self.folder}: {part} was trained on another {name}; run {how} again"
                 )
         return path
 
+    def tensors(self, part: str) -> dict[str, Tensor]:
+        """Tensors of a part.
+
+        Raises:
+            BadInput: see `path_of`, or not a safetensors file.
+        """
+        path = self.path_of(part)
+        try:
+            return load_file(path)
+        except SafetensorError as error:
+            raise BadInput(f"{path}: does not fit the sizes in bundle.json") from error
+
+    def load(self, part: str, model: Any) -> Any:
+        """Put a part's weights into `model`; it comes back in eval mode, without gradients.
+
+        Raises:
+            BadInput: see `path_of`, or weights of other sizes.
+        """
+        tensors = self.tensors(part)
+        try:
+            load_weights(model, tensors)
+        except RuntimeError as error:
+            path = self.folder / self.manifest["parts"][part]["file"]
+            raise BadInput(f"{path}: does not fit the sizes in bundle.json") from error
+        return model.eval().requires_grad_(False)
+
     def renderer(self) -> Renderer:
         """The renderer in eval mode."""
-        return self._load("renderer", Renderer(self.preset.renderer))
+        renderer: Renderer = self.load("renderer", Renderer(self.preset.renderer))
+        return renderer
 
     def statistics(self) -> MotionStatistics:
         """Normalisation and ranges of the motion."""
         return MotionStatistics.load(self.path_of("statistics"))
 
-    def vq(self) -> VQMotionExtractor | DirectMotion:
-        """The VQ motion extractor, or what stands in its place without codes, in eval mode."""
-        preset = self.preset
-        if preset.vq.quant == "no_quant":
-            model: Any = DirectMotion(preset.vq, preset.gpt, self._speakers())
-        else:
-            model = VQMotionExtractor(preset.vq)
-        return self._load("vq", model)
-
-    def gpt(self) -> CoSpeechGPT:
-        """The co-speech GPT in eval mode."""
-        return self._load("gpt", CoSpeechGPT(self.preset.gpt, self._speakers()))
-
-    def refiner(self) -> Refiner:
-        """The refiner in eval mode."""
-        return self._load("refiner", Refiner(self.preset.refiner))
-
     def avd(self) -> AvdNetwork:
         """The disentanglement network in eval mode."""
-        return self._load("avd", make_avd(self.preset.renderer))
+        avd: AvdNetwork = self.load("avd", make_avd(self.preset.renderer))
+        return avd
 
-    def generator(self, precision: str = "fp32") -> AngieGenerator:
-        """The gesture generator on the CPU, all its parts in eval mode.
+    def generator(self, name: str | None = None, *, precision: str = "fp32") -> GestureGenerator:
+        """A gesture generator on the CPU, all its parts in eval mode.
 
         Args:
-            precision: of the GPT's large products: bfloat16 for "bf16" and "auto" where the
-                processor has it natively and PyTorch can pack it; else float32. Rounding parts
-                two sequences of codes where two codes are about equally likely; either is as good.
+            name: of its family; None is the default one, else the first that the bundle has.
+            precision: of large products, "fp32", "bf16" or "auto"; see the family's `load`.
 
         Raises:
             BadInput: parts are missing or unusable.
         """
-        wanted = [part for part in self.parts if part not in OPTIONAL]
-        missing = [part for part in wanted if part not in self.manifest["parts"]]
+        name = self.chosen(name)
+        missing = [part for part in self.needed(name) if part not in self.manifest["parts"]]
         if missing and missing[0] != "renderer":
-            stages = ", ".join(STAGE_OF.get(part, part) for part in missing)
+            stages = ", ".join(stage_options(part).split()[-1] for part in missing)
+            option = "" if name == DEFAULT_GENERATOR else f" --generator {name}"
             raise BadInput(
                 f"{self.folder}: cannot gesture to sound yet; angie train DATASET -o "
-                f"{self.folder} --resume trains what it lacks ({stages}); "
+                f"{self.folder} --resume{option} trains what it lacks ({stages}); "
                 "animate --drive VIDEO works without"
             )
-        gpt = self.gpt() if "gpt" in self.parts else None
-        if gpt is not None:
-            pack(gpt, product_type(precision))
-        vq, refiner, statistics = self.vq(), self.refiner(), self.statistics()
-        errors = self.manifest["parts"]["vq"]["report"].get("decoding", {})
-        chunked = errors.get("chunked", 1.0) < errors.get("full", 0.0)
-        config = self.preset.generation
-        return AngieGenerator(vq, gpt, refiner, statistics, config, chunked=chunked)
-
-    def _speakers(self) -> int:
-        """Speakers of the training set; only joint models need to know."""
-        return len(self.statistics().speakers) if self.preset.gpt.joint else 1
-
-    def _load(self, part: str, model: Any) -> Any:
-        path = self.path_of(part)
-        try:
-            load_weights(model, load_file(path))
-        except (SafetensorError, RuntimeError) as error:
-            raise BadInput(f"{path}: does not fit the sizes in bundle.json") from error
-        return model.eval().requires_grad_(False)
+        return family(name).load(self, precision)
 
 
-def _sizes(config: Any, part: str) -> dict[str, Any]:
-    """Settings of a part's architecture as a mapping.
-
-    A setting that came after bundles had been made is marked `metadata={"later": True}`; at its
-    default, which must mean what was before it, it does not count: those bundles stay whole. One
-    that concerns another part alone is marked `metadata={"of": part}` and counts at its default.
-    """
-    values: dict[str, Any] = {}
-    for entry in dataclasses.fields(config):
-        value = getattr(config, entry.name)
-        if entry.metadata.get("of", part) != part:
-            value = entry.default
-        if entry.metadata.get("later") and value == entry.default:
-            continue
-        values[entry.name] = _sizes(value, part) if dataclasses.is_dataclass(value) else value
-    return values
+def _is_name(file: Any) -> bool:
+    """Whether a file of the manifest lies in the bundle's own folder."""
+    return isinstance(file, str) and Path(file).name == file and file.endswith(".safetensors")
 
 
-def load_weights(model: nn.Module, tensors: Mapping[str, Tensor]) -> None:
-    """Load weights that may be stored in half precision into a float32 model."""
-    wanted = model.state_dict()
-    model.load_state_dict(
-        {k: v.to(wanted[k].dtype) if k in wanted else v for k, v in tensors.items()}
-    )
-
-
-def halve(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Float tensors in half precision, for bundles that have to be small."""
-    return {
-        k: v.half() if v.dtype == torch.float32 and v.ndim > 1 else v for k, v in tensors.items()
-    }
-
-
-def styles(bundle: Bundle) -> tuple[str, ...]:
-    """Names of the training speakers that a joint model tells apart; none if it is not joint.
+def styles(bundle: Bundle, generator: str | None = None) -> tuple[str, ...]:
+    """Names of the styles that a generator tells apart; none if there is but one.
 
     Raises:
-        BadInput: the model is joint, but was not measured on anyone yet.
+        BadInput: it tells some apart, but was not measured on anyone yet.
     """
-    return bundle.statistics().speakers if bundle.preset.gpt.joint else ()
+    name = bundle.chosen(generator)
+    return family(name).styles(bundle.settings(name), bundle.statistics())
 
 
-def check_style(bundle: Bundle, style: str | None) -> None:
+def check_style(bundle: Bundle, style: str | None, generator: str | None = None) -> None:
     """Refuse a style that a bundle does not have, before anything long begins.
 
     Args:
         bundle: a speaker bundle.
         style: name of a training speaker; None asks for nothing.
+        generator: whose style.
 
     Raises:
         BadInput: an unknown name, or a model that knows but one style.
     """
     if style is None:
         return
-    if not bundle.preset.gpt.joint:
-        raise BadInput(
-            f"--style {style}: {bundle.folder} has one style alone; "
-            "models trained with gpt.joint=true have one for each speaker"
-        )
+    if not styles(bundle, generator):
+        advice = family(bundle.chosen(generator)).style_advice
+        more = f"; models trained with {advice} have one for each speaker" if advice else ""
+        raise BadInput(f"--style {style}: {bundle.folder} has one style only{more}")
     bundle.statistics().place_of(style)
 
 

@@ -5,24 +5,15 @@ import difflib
 import math
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
 
-from angie.generators.angie.generate import GenerationConfig
-from angie.generators.angie.gpt import GPTConfig
-from angie.generators.angie.refiner import RefinerConfig
-from angie.generators.angie.sampling import Sampling, Window
-from angie.generators.angie.tokenizer import VQConfig
-from angie.generators.angie.train_gpt import GPTTraining
-from angie.generators.angie.train_refiner import RefinerTraining
-from angie.generators.angie.train_vq import VQTraining
-from angie.motion.windows import WINDOW_TOKENS
+from angie.generators import DEFAULT, family
 from data_prep.errors import BadInput
-from data_prep.speech.features import ONSET_SIZE
 from mraa.renderer import GeneratorConfig, HourglassConfig, RendererConfig
 from mraa.training.avd import AvdTraining
 from mraa.training.checkpoint import Schedule
@@ -34,53 +25,41 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Preset:
-    """Sizes and training of every part; the defaults are the papers'.
+    """Sizes and training of the parts that all generators share; the defaults are the papers'.
 
     Attributes:
         name: of the preset.
-        points: joints in place of regions: no renderer, and of the two streams of motion only
-            that of the shift.
+        points: joints in place of regions; there is no renderer.
         renderer: sizes; its `regions` are those of every part.
-        vq: sizes.
-        gpt: sizes.
-        refiner: sizes.
-        generation: how motion is generated.
         train_renderer: how the renderer is trained.
-        train_vq: how the VQ motion extractor is trained.
-        train_gpt: how the GPT is trained.
-        train_refiner: how the refiner is trained.
+        train_avd: how the disentanglement network is trained.
+        generators: settings of each generator by its family's name: objects, or plain mappings
+            of families that nobody has asked for yet, see `settings`.
     """
 
     name: str = "paper"
     points: bool = False
     renderer: RendererConfig = field(default_factory=RendererConfig)
-    vq: VQConfig = field(default_factory=VQConfig)
-    gpt: GPTConfig = field(default_factory=GPTConfig)
-    refiner: RefinerConfig = field(default_factory=RefinerConfig)
-    generation: GenerationConfig = field(
-        default_factory=lambda: GenerationConfig(sampling=Sampling(method="greedy"))
-    )
     train_renderer: RendererTraining = field(default_factory=RendererTraining)
-    train_vq: VQTraining = field(default_factory=VQTraining)
-    train_gpt: GPTTraining = field(default_factory=GPTTraining)
-    train_refiner: RefinerTraining = field(default_factory=RefinerTraining)
     train_avd: AvdTraining = field(default_factory=AvdTraining)
+    generators: Mapping[str, Any] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        counts = {self.renderer.regions, self.vq.regions, self.refiner.regions}
-        if len(counts) > 1 or self.vq.codes != self.gpt.codes:
-            raise BadInput("the parts disagree: regions or codes are set for one part alone")
-        streams = {self.vq.streams, self.gpt.streams, self.refiner.streams}
-        if streams != {1 if self.points else 2}:
-            raise BadInput("the parts disagree: streams is 1 for points, else 2, in every part")
-        if (self.gpt.onset, self.gpt.block) != (ONSET_SIZE, WINDOW_TOKENS - 1):
-            raise BadInput(
-                f"gpt: onset is {ONSET_SIZE} and block {WINDOW_TOKENS - 1}, as in all windows"
-            )
+    def settings(self, name: str) -> Any:
+        """Settings of a family.
+
+        Raises:
+            BadInput: no such generator here, or settings that its family does not have.
+        """
+        if name not in self.generators:
+            raise BadInput(f"{name}: no such generator; there is {', '.join(self.generators)}")
+        given = self.generators[name]
+        if isinstance(given, Mapping):
+            return _replace(family(name).settings(), given, f"{name}.")
+        return given
 
 
 def _lite() -> Preset:
-    """Renders in real time on a laptop CPU: slim generator, the photo itself warped."""
+    """What ships: renders in real time on a laptop CPU, the photo itself warped."""
     return Preset(
         name="lite",
         renderer=RendererConfig(
@@ -88,17 +67,8 @@ def _lite() -> Preset:
             background=HourglassConfig(16, 4, 64),
             background_scale=0.25,
             flow=HourglassConfig(32, 5, 128),
-            generator=GeneratorConfig("lite", width=128, bottleneck_blocks=6),
+            generator=GeneratorConfig("deep", width=128, bottleneck_blocks=6),
             affine_mode="sym",
-        ),
-        vq=VQConfig(width=64, code_width=64, restart_below=0.1, context="clip"),
-        gpt=GPTConfig(width=128, heads=4, layers=4, dropout=0.3),
-        refiner=RefinerConfig(sound=96, motion=64, hidden=128),
-        generation=GenerationConfig(
-            bounding="auto",
-            decode="auto",
-            blend="hann",
-            sampling=Sampling(method="topk", repeat_guard=True, calm=True),
         ),
         train_renderer=RendererTraining(
             batch=8,
@@ -109,26 +79,6 @@ def _lite() -> Preset:
             equivariance_affine=1.0,
             augmentation=Augmentation(zoom=0.15),
             warmup_steps=3000,
-        ),
-        train_vq=VQTraining(
-            schedule=Schedule(rate=1e-3, milestones=(375, 460), most_steps=6000),
-            stride=5,
-            summed=0.3,
-            summed_norm="square",
-            warmup=0.15,
-        ),
-        train_gpt=GPTTraining(
-            schedule=Schedule(rate=1e-3, milestones=(400,), most_steps=1800),
-            stride=8,
-            grids=8,
-            checks=30,
-        ),
-        train_refiner=RefinerTraining(
-            schedule=Schedule(
-                rate=2e-3, betas=(0.9, 0.999), epochs=100, milestones=(80,), most_steps=3000
-            ),
-            stride=16,
-            velocity=20.0,
         ),
         train_avd=AvdTraining(
             schedule=Schedule(rate=1e-3, batch=256, epochs=30, milestones=(20, 25), most_steps=4000)
@@ -149,26 +99,12 @@ def _tiny() -> Preset:
             generator=GeneratorConfig("lite", width=32, bottleneck_blocks=2),
             affine_mode="sym",
         ),
-        vq=VQConfig(regions=10, width=32, code_width=32),
-        gpt=GPTConfig(width=64, heads=4, layers=2),
-        refiner=RefinerConfig(regions=10, sound=32, motion=32, hidden=32, layers=1),
-        generation=GenerationConfig(
-            bounding="auto",
-            decode="auto",
-            window=Window("hop"),
-            sampling=Sampling(method="topk", repeat_guard=True),
-        ),
         train_renderer=RendererTraining(
             steps=300,
             batch=4,
             rate=1e-3,
             perceptual_width=8,
             perceptual_scales=(0.5, 0.25, 0.125),
-        ),
-        train_vq=VQTraining(schedule=Schedule(rate=1e-3, most_steps=150)),
-        train_gpt=GPTTraining(schedule=Schedule(rate=1e-3, most_steps=200), checks=10),
-        train_refiner=RefinerTraining(
-            schedule=Schedule(rate=2e-3, betas=(0.9, 0.999), most_steps=150), checks=10
         ),
         train_avd=AvdTraining(
             schedule=Schedule(rate=1e-3, batch=64, epochs=30, milestones=(20, 25), most_steps=300)
@@ -179,27 +115,38 @@ def _tiny() -> Preset:
 PRESETS = {"paper": Preset, "lite": _lite, "tiny": _tiny}
 
 
-def preset(name: str) -> Preset:
-    """The preset of a name.
+def preset(name: str, generator: str | None = None) -> Preset:
+    """The preset of a name, with the settings of one generator.
 
     Raises:
         BadInput: an unknown name.
     """
     if name not in PRESETS:
         raise BadInput(f"--preset {name}: there are {', '.join(PRESETS)}")
-    return PRESETS[name]()
+    return with_generator(PRESETS[name](), generator)
+
+
+def with_generator(base: Preset, generator: str | None = None) -> Preset:
+    """A preset that has a generator as well, with the family's own settings for it."""
+    found = family(generator)
+    if found.name in base.generators:
+        return base
+    settings = found.fit(found.preset(base.name), base.renderer.regions, base.points)
+    return replace(base, generators={**base.generators, found.name: settings})
+
+
+def fitted(base: Preset) -> Preset:
+    """A preset whose generators' settings are for its regions or points."""
+    made = {
+        name: family(name).fit(base.settings(name), base.renderer.regions, base.points)
+        for name in base.generators
+    }
+    return replace(base, generators=made)
 
 
 def of_points(base: Preset, joints: int) -> Preset:
     """A preset for motion of joints in place of regions."""
-    return replace(
-        base,
-        points=True,
-        renderer=replace(base.renderer, regions=joints),
-        vq=replace(base.vq, regions=joints, streams=1),
-        gpt=replace(base.gpt, streams=1),
-        refiner=replace(base.refiner, regions=joints, streams=1),
-    )
+    return fitted(replace(base, points=True, renderer=replace(base.renderer, regions=joints)))
 
 
 def parse_overrides(arguments: list[str]) -> dict[str, Any]:
@@ -237,17 +184,73 @@ def parse_overrides(arguments: list[str]) -> dict[str, Any]:
 def override(base: Preset, changes: Mapping[str, Any]) -> Preset:
     """A preset with some values changed; `renderer.regions` is the regions of every part.
 
+    Keys that are no section of `Preset` are settings of the generators: those of the family
+    `NAME` are under `NAME`, those of the default family stand for themselves as well.
+
     Raises:
         BadInput: an unknown key (the nearest known one is named) or a value of another type.
     """
-    changes = dict(changes)
-    renderer = changes.get("renderer")
-    if isinstance(renderer, Mapping) and "regions" in renderer:
-        for part in ("vq", "refiner"):
-            given = changes.get(part, {})
-            if isinstance(given, Mapping):
-                changes[part] = {"regions": renderer["regions"], **given}
-    return _replace(base, changes, "")
+    shared: dict[str, Any] = {}
+    own: dict[str, dict[str, Any]] = {}
+    for key, value in changes.items():
+        if key in _SECTIONS:
+            shared[key] = value
+        elif key in base.generators:
+            _merge(own.setdefault(key, {}), _several(value, key))
+        else:
+            _merge(own.setdefault(DEFAULT, {}), {key: value})
+    changed = _replace(base, shared, "")
+    points = (base.points, base.renderer.regions) != (changed.points, changed.renderer.regions)
+    generators = dict(base.generators)
+    for name in {*own, *generators} if points else own:
+        generators[name] = _changed(changed, name, own.get(name, {}))
+    return replace(changed, generators=generators)
+
+
+def stored(config: Mapping[str, Any]) -> Preset:
+    """The preset that a bundle's manifest holds; settings of generators are looked at when asked.
+
+    Raises:
+        BadInput: an unknown key or a value of another type.
+    """
+    generators = _several(config.get("generators", {}), "generators")
+    shared = {key: value for key, value in config.items() if key != "generators"}
+    return replace(override(Preset(), shared), generators=generators)
+
+
+def _changed(base: Preset, name: str, changes: Mapping[str, Any]) -> Any:
+    """Settings of a family for the preset's regions, some of them changed."""
+    prefix = "" if name == DEFAULT else f"{name}."
+    if name not in base.generators:
+        raise _unknown(next(iter(changes)), _SECTIONS, "")
+    found, regions, points = family(name), base.renderer.regions, base.points
+    known = {entry.name for entry in dataclasses.fields(found.settings)}
+    for key in changes.keys() - known:
+        raise _unknown(key, known | (_SECTIONS if name == DEFAULT else set()), prefix)
+    made = _replace(found.fit(base.settings(name), regions, points), changes, prefix)
+    if found.fit(made, regions, points) != made:
+        raise BadInput(f"{name}: the parts disagree: regions are set for one part only")
+    return made
+
+
+_SECTIONS = {entry.name for entry in dataclasses.fields(Preset)} - {"generators"}
+
+
+def _several(value: Any, key: str) -> Mapping[str, Any]:
+    """A value that has to be a mapping of settings.
+
+    Raises:
+        BadInput: it is something else.
+    """
+    if not isinstance(value, Mapping):
+        raise BadInput(f"{key}: holds several settings, name one of them")
+    return value
+
+
+def _unknown(key: str, known: Iterable[str], prefix: str) -> BadInput:
+    near = difflib.get_close_matches(str(key), known, n=1, cutoff=0.0)
+    hint = f"; the nearest is {prefix}{near[0]}" if near else ""
+    return BadInput(f"{prefix}{key}: no such setting{hint}")
 
 
 def _merge(into: dict[str, Any], new: Mapping[str, Any]) -> None:
@@ -263,14 +266,11 @@ def _replace(base: T, changes: Mapping[str, Any], prefix: str) -> T:
     values: dict[str, Any] = {}
     for key, value in changes.items():
         if key not in hints:
-            known = difflib.get_close_matches(str(key), hints, n=1, cutoff=0.0)
-            hint = f"; the nearest is {prefix}{known[0]}" if known else ""
-            raise BadInput(f"{prefix}{key}: no such setting{hint}")
+            raise _unknown(key, hints, prefix)
         current = getattr(base, key)
         if dataclasses.is_dataclass(current):
-            if not isinstance(value, Mapping):
-                raise BadInput(f"{prefix}{key}: holds several settings, name one of them")
-            values[key] = _replace(current, value, f"{prefix}{key}.")
+            name = f"{prefix}{key}"
+            values[key] = _replace(current, _several(value, name), f"{name}.")
         else:
             values[key] = _convert(value, hints[key], f"{prefix}{key}")
     try:

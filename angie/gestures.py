@@ -1,6 +1,5 @@
 """Sound to motion as arrays, without a photo: joints or regions."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -91,15 +90,14 @@ def gestures(
         raise BadInput(f"--fps {fps:g}: motion of regions has {FPS} frames a second")
     check_style(bundle, style)
     generator = bundle.generator()
-    method = "greedy" if greedy else "topk"
-    sampling = replace(generator.config.sampling, method=method)
-    generator.config = replace(generator.config, sampling=sampling)
     with whole_file(output, force=force) as part:
         samples = read_sound(sound_path)
-        pose = start_pose(generator.statistics, speaker, start)
+        pose = start_pose(bundle.statistics(), speaker, start)
         frames = frames_covering(len(samples))
         speech = Speech(samples)
-        motion = generator.generate(speech, pose, frames, seed, speaker, style=style)
+        motion = generator.generate(
+            speech, pose, frames, seed=seed, speaker=speaker, style=style, greedy=greedy
+        )
         arrays: dict[str, Any] = {"fps": np.array(float(fps))}
         if points:
             made = resample(motion.shift.numpy().astype(np.float64), FPS, fps)

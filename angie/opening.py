@@ -6,17 +6,15 @@ What a training takes from other bundles: weights to begin with, and a teacher.
 import dataclasses
 import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from torch import nn
 
 from angie.bundle import Bundle
-from angie.config import Preset, override
-from angie.generators.angie.direct import DirectMotion
-from angie.generators.angie.gpt import CoSpeechGPT
-from angie.generators.angie.refiner import Refiner
-from angie.generators.angie.tokenizer import VQMotionExtractor
+from angie.config import Preset, override, with_generator
+from angie.generators import DEFAULT, family
 from data_prep.errors import BadInput
 from data_prep.files import check_output
 from mraa.regions import RegionEstimator
@@ -80,17 +78,15 @@ def try_out(settings: Preset) -> None:
     Raises:
         BadInput: which part cannot be built.
     """
-    parts: dict[str, Callable[[], nn.Module]] = {
-        "renderer": lambda: Renderer(settings.renderer),
-        "avd": lambda: make_avd(settings.renderer),
-        "vq": lambda: VQMotionExtractor(settings.vq),
-        "gpt": lambda: CoSpeechGPT(settings.gpt),
-        "refiner": lambda: Refiner(settings.refiner),
-    }
-    if settings.points:
-        del parts["renderer"], parts["avd"]
-    if settings.vq.quant == "no_quant":
-        parts["vq"] = lambda: DirectMotion(settings.vq, settings.gpt)
+    parts: dict[str, Callable[[], nn.Module]] = {}
+    if not settings.points:
+        parts["renderer"] = lambda: Renderer(settings.renderer)
+        parts["avd"] = lambda: make_avd(settings.renderer)
+    for generator in settings.generators:
+        own, prefix = settings.settings(generator), "" if generator == DEFAULT else f"{generator}."
+        for stage in family(generator).wanted(own):
+            if stage.build is not None:
+                parts[f"{prefix}{stage.name}"] = partial(stage.build, own)
     for name, build in parts.items():
         try:
             model = build()
@@ -119,6 +115,7 @@ def open_or_create(
     output: Path,
     preset: Preset | None,
     changes: dict[str, Any],
+    generator: str | None,
     stage: str,
     resume: bool,
     force: bool,
@@ -129,6 +126,7 @@ def open_or_create(
         output: folder of the bundle.
         preset: sizes of a new bundle; an existing one keeps its own.
         changes: settings that differ.
+        generator: family of the generator to train, which is added to a bundle without it.
         stage: what will be trained, "all" or a stage.
         resume: go on with a bundle that exists.
         force: throw an existing one away.
@@ -138,7 +136,7 @@ def open_or_create(
     """
     exists = (output / "bundle.json").exists()
     if not exists or (force and not resume):
-        settings = override(preset or Preset(), changes)
+        settings = override(_with(preset or Preset(), generator), changes)
         first = "motion" if settings.points else "renderer"
         if stage not in ("all", first):
             raise BadInput(f"{output}: has no {first} yet; run angie train --stage {first} first")
@@ -159,13 +157,17 @@ def open_or_create(
         raise BadInput(
             f"{output}: made with --preset {bundle.preset.name}; leave --preset out to go on"
         )
-    if changes:
-        changed = override(bundle.preset, changes)
+    changed = override(_with(bundle.preset, generator), changes)
+    if changed != bundle.preset:
         try_out(changed)
         bundle.preset = changed
         drawn = "renderer" in bundle.parts and not bundle.has("renderer")
         if stage == "renderer" or (stage == "all" and drawn):
             try_weights(changed)
-        bundle.manifest["config"] = dataclasses.asdict(bundle.preset)
         bundle.write()
     return bundle
+
+
+def _with(preset: Preset, generator: str | None) -> Preset:
+    """A preset that has the generator which is asked for, and some generator in any case."""
+    return preset if generator is None and preset.generators else with_generator(preset, generator)

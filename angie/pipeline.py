@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -112,10 +112,7 @@ def animate(
             track_axes=track_axes,
         )
         samples = read_sound(sound_path)
-        generator = bundle.generator(precision)
-        method = "greedy" if greedy else "topk"
-        sampling = replace(generator.config.sampling, method=method)
-        generator.config = replace(generator.config, sampling=sampling)
+        generator = bundle.generator(precision=precision)
         frames, seconds = frames_covering(len(samples)), len(samples) / SAMPLE_RATE
         pose = source_pose(subject.renderer, subject.picture)
         speech = Speech(samples)
@@ -123,10 +120,10 @@ def animate(
             speech[name]
         del samples
         speech.forget_samples()  # long recordings leave their memory to the renderer
-        motion = generator.generate(speech, pose, frames, seed, style=style)
+        motion = generator.generate(speech, pose, frames, seed=seed, style=style, greedy=greedy)
         del speech
         if scale_motion == "hull":
-            motion = scale_displacement(motion, pose, generator.statistics, style)
+            motion = scale_displacement(motion, pose, bundle.statistics(), style)
         keep_memory()  # from here on: what came before has given its memory back
         shown = subject.shown
         video = VideoWriter(

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from angie.bundle import Bundle
-from angie.config import Preset
+from angie.config import Preset, fitted
 from data_prep.errors import BadInput
 from data_prep.files import check_apart, whole_folder
 from data_prep.prepare.source import sha256
@@ -59,12 +59,7 @@ def import_released(
             renderer, avd = load_released(parts, sizes)
         except BadInput as error:
             raise BadInput(f"{checkpoint}: {error}") from error
-        settings = replace(
-            preset,
-            renderer=sizes,
-            vq=replace(preset.vq, regions=sizes.regions),
-            refiner=replace(preset.refiner, regions=sizes.regions),
-        )
+        settings = fitted(replace(preset, renderer=sizes))
         bundle = Bundle.create(folder, settings)
         bundle.manifest["crop"] = {"side_in_faces": SIDE_IN_FACES, "face_down": FACE_DOWN}
         origin = {"imported": Path(checkpoint).name, "imported_sha256": sha256(Path(checkpoint))}

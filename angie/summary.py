@@ -1,8 +1,11 @@
 """What a speaker bundle holds, in words."""
 
+from collections.abc import Iterator
 from typing import Any
 
-from angie.bundle import OPTIONAL, STAGE_OF, Bundle, styles
+from angie.bundle import Bundle
+from angie.generators import family
+from angie.parts import OPTIONAL, UPSTREAM, stage_of, stage_options
 from data_prep.errors import BadInput
 
 
@@ -18,26 +21,33 @@ def describe(bundle: Bundle) -> str:
         f"preset      {manifest['preset']}: {what}, {size}at {manifest['fps']} fps",
         f"speakers    {', '.join(manifest['speakers']) or 'none yet'}",
     ]
-    if bundle.preset.gpt.joint:
-        lines.append(f"styles      {_styles(bundle)}")
+    for name in bundle.generators:
+        lines += [f"{label:<12}{text}" for label, text in _generator(bundle, name)]
     for part in bundle.parts:
-        lines.append(f"{part:<12}{_state(bundle, part)}")
+        lines.append(f"{part:<14}{_state(bundle, part)}")
     return "\n".join(lines)
 
 
-def _styles(bundle: Bundle) -> str:
-    """The training speakers that a joint model tells apart, and how to ask for one."""
-    if not bundle.has("statistics"):
-        return "unknown; angie train --stage motion tells the speakers"
-    return f"{', '.join(styles(bundle))} (--style NAME)"
+def _generator(bundle: Bundle, name: str) -> Iterator[tuple[str, str]]:
+    """A generator of the bundle, and the styles that it tells apart."""
+    try:
+        found, settings = family(name), bundle.settings(name)
+    except BadInput as error:
+        yield "generator", f"{name}: {error}"
+        return
+    yield "generator", f"{name}: {found.title}"
+    if bundle.has("statistics"):
+        styles = found.styles(settings, bundle.statistics())
+        if styles:
+            yield "styles", f"{', '.join(styles)} (--style NAME)"
 
 
 def _state(bundle: Bundle, part: str) -> str:
     entry = bundle.manifest["parts"].get(part)
     if entry is None and part in OPTIONAL:
-        return f"none (optional); angie train --stage {part} makes it"
+        return f"none (optional); angie train {stage_options(part)} makes it"
     if entry is None:
-        return f"missing; angie train --stage {STAGE_OF.get(part, part)} makes it"
+        return f"missing; angie train {stage_options(part)} makes it"
     try:
         bundle.path_of(part)
     except BadInput as error:
@@ -69,13 +79,7 @@ def _state(bundle: Bundle, part: str) -> str:
             f"{score['shift']:.4f} (as given {score['given_shift']:.4f}), affine by "
             f"{score['affine']:.4f} (as given {score['given_affine']:.4f})"
         )
-    if "held_out" in report:
-        score = report["held_out"]
-        words.append(
-            f"held-out shifts correlate {score['correlation']:.3f}, "
-            f"perplexity {score['shift_perplexity']:.0f} of {bundle.preset.vq.codes} codes"
-        )
-    if "hearing" in report:
-        right, other = (sum(report["hearing"][name]) for name in ("right", "mismatched"))
-        words.append(f"held-out cross-entropy {right:.2f} nats, {other:.2f} with other sound")
+    if part not in UPSTREAM:
+        found, stage = stage_of(part)
+        words += found.report(stage.name, report, bundle.settings(found.name))
     return "; ".join(words)

@@ -1,7 +1,6 @@
-"""Training a speaker bundle: renderer, motion, VQ, GPT, refiner, in this order; AVD if asked."""
+"""Training a speaker bundle: renderer, motion, the stages of a generator; AVD if asked."""
 
-import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,19 +8,15 @@ from typing import Any
 from lightning_fabric import Fabric
 from numpy.typing import NDArray
 
-from angie.bundle import OPTIONAL, STAGE_OF, TRAIN, UPSTREAM, Bundle
+from angie.bundle import TRAIN, Bundle
 from angie.config import Preset, of_points
-from angie.generators.angie.direct import DirectMotion
-from angie.generators.angie.report import gpt_report, vq_report
-from angie.generators.angie.tokenizer import VQMotionExtractor
-from angie.generators.angie.train_direct import train_direct
-from angie.generators.angie.train_gpt import train_gpt
-from angie.generators.angie.train_refiner import train_refiner
-from angie.generators.angie.train_vq import train_vq
+from angie.generators import family
+from angie.generators.base import Family
+from angie.generators.stages import Stage, StageContext, digest, too_short
 from angie.motion.clips import MotionClip, read_clips
 from angie.motion.keypoints import INDEX, KeypointClip, KeypointDataset
-from angie.motion.statistics import MotionStatistics, measure
-from angie.motion.windows import WINDOW, MotionWindows, other_grids
+from angie.motion.statistics import measure
+from angie.motion.windows import WINDOW
 from angie.opening import initial_weights, open_or_create, teacher_of
 from data_prep.dataset import Clip, Dataset
 from data_prep.errors import BadInput
@@ -37,15 +32,6 @@ from mraa.training.avd import recovery, train_avd
 from mraa.training.devices import keep_memory
 from mraa.training.renderer import train_renderer
 from mraa.training.run import RunConfig, launch, native_precision
-
-PART_OF = {STAGE_OF.get(part, part): part for part in UPSTREAM}
-"""Part of the bundle that each stage of training makes, in their order."""
-
-STAGES = tuple(PART_OF)
-
-HELD_OUT = 10
-"""Every so many training clips one is kept from the motion stages to choose weights by, where the
-split "val" of the dataset has none."""
 
 
 @dataclass
@@ -71,7 +57,7 @@ class Trainer:
         Raises:
             BadInput: the hash of the dataset that the part was trained on is another one.
         """
-        report = self.bundle.manifest["parts"][part]["report"]
+        report = self.bundle.report(part)
         if "imported" not in report and report.get("dataset_sha256") != self.data_digest:
             raise BadInput(
                 f"{self.bundle.folder}: {part} was trained on another dataset than "
@@ -153,87 +139,35 @@ class Trainer:
             jobs=self.run.workers,
         )
 
-    def vq(self) -> None:
-        """Train the VQ motion extractor, or the regression in its place without codes."""
-        preset = self.bundle.preset
-        stride = preset.train_vq.stride
-        if preset.vq.quant == "no_quant":
-            windows, held_out = self.windows(preset.train_gpt.stride, preset.train_gpt.grids)
-            direct = train_direct(
-                self.bundle.train,
-                windows,
-                held_out,
-                preset.vq,
-                preset.gpt,
-                preset.train_gpt,
-                seed=self.seed,
-                run_config=self.how("vq"),
-                resume=self.resume,
-            )
-            self.publish("vq", direct.state_dict)
-            return
-        windows, held_out = self.windows(stride)
-        vq = train_vq(
-            self.bundle.train,
-            windows,
-            held_out,
-            preset.vq,
-            preset.train_vq,
+    def generator(self, family: Family, stage: Stage) -> None:
+        """Train a stage of a generator."""
+        trained = stage.train(self.context(family, stage))
+        self.publish(f"{family.name}.{stage.name}", lambda: trained.tensors, **trained.report)
+
+    def context(self, family: Family, stage: Stage) -> StageContext:
+        """What a stage of a generator is given."""
+        statistics = self.bundle.statistics()
+
+        def clips(split: str) -> list[MotionClip]:
+            """Others than the measured speakers have no style that could be learnt."""
+            return [clip for clip in self.clips(split) if clip.speaker in statistics.speakers]
+
+        return StageContext(
+            stage=stage.name,
+            settings=self.bundle.settings(family.name),
+            bundle=self.bundle,
+            statistics=statistics,
+            read_clips=clips,
+            sound=self.sound,
+            folder=self.bundle.train / family.name,
             seed=self.seed,
-            run_config=self.how("vq"),
+            run=self.how(
+                f"{family.name}.{stage.name}",
+                resumes=stage.resumes(self.bundle.settings(family.name)),
+            ),
             resume=self.resume,
+            place=self.dataset.path,
         )
-        self.publish("vq", vq.state_dict, **vq_report(vq, windows, held_out))
-
-    def extractor(self) -> VQMotionExtractor | DirectMotion:
-        """The VQ motion extractor, or what stands in its place.
-
-        Raises:
-            BadInput: its mean and its way of decoding were measured in another context.
-        """
-        vq, report = self.bundle.vq(), self.bundle.manifest["parts"]["vq"]["report"]
-        context = self.bundle.preset.vq.context
-        if isinstance(vq, VQMotionExtractor) and report.get("context", "window") != context:
-            raise BadInput(
-                f"{self.bundle.folder}: the codes were not measured for vq.context={context}; "
-                "--stage vq --resume does that"
-            )
-        return vq
-
-    def gpt(self) -> None:
-        """Train the co-speech GPT on the codes of the VQ motion extractor."""
-        preset, vq = self.bundle.preset, self.extractor()
-        assert isinstance(vq, VQMotionExtractor)  # without codes there is no such stage
-        windows, held_out = self.windows(preset.train_gpt.stride, preset.train_gpt.grids)
-        gpt = train_gpt(
-            self.bundle.train,
-            vq,
-            windows,
-            held_out,
-            preset.gpt,
-            preset.train_gpt,
-            seed=self.seed,
-            run_config=self.how("gpt"),
-            resume=self.resume,
-        )
-        self.publish("gpt", gpt.state_dict, **gpt_report(gpt, vq.cpu(), windows, held_out))
-
-    def refiner(self) -> None:
-        """Train the refiner on the patterns of the VQ motion extractor."""
-        preset, vq = self.bundle.preset, self.extractor()
-        windows, held_out = self.windows(preset.train_refiner.stride)
-        refiner = train_refiner(
-            self.bundle.train,
-            vq,
-            windows,
-            held_out,
-            preset.refiner,
-            preset.train_refiner,
-            seed=self.seed,
-            run_config=self.how("refiner"),
-            resume=self.resume,
-        )
-        self.publish("refiner", refiner.state_dict)
 
     def avd(self) -> None:
         """Train the disentanglement network on the region motion of the clips."""
@@ -291,45 +225,22 @@ class Trainer:
             for clip in self.dataset.clips(split)
         ]
 
-    def windows(self, stride: int, grids: int = 1) -> tuple[MotionWindows, MotionWindows | None]:
-        """Training windows, and those of other clips to choose weights by.
-
-        These are of the split "val", or where it has none of this length, every tenth training
-        clip. The test split stays out of training altogether.
-
-        Args:
-            stride: frames from one training window to the next; the others are 32 apart.
-            grids: of tokens, on which training clips are read (`GPTTraining.grids`).
-
-        Raises:
-            BadInput: no clip is as long as a window.
-        """
-        statistics: MotionStatistics = self.bundle.statistics()
-        clips, kept = (self._long_clips(split, statistics.speakers) for split in ("train", "val"))
-        if not clips:
-            raise _too_short(self.dataset.path)
-        if not kept:
-            kept = clips[HELD_OUT - 1 :: HELD_OUT]
-            clips = [clip for i, clip in enumerate(clips, 1) if i % HELD_OUT]
-        clips = [*clips, *other_grids(clips, self.sound, grids)]
-        windows = MotionWindows(clips, statistics, stride=stride)
-        return windows, MotionWindows(kept, statistics) if kept else None
-
-    def _long_clips(self, split: str, speakers: Sequence[str]) -> list[MotionClip]:
-        """Clips, as long as a window, of speakers; others have no style that could be learnt."""
-        clips = [clip for clip in self.clips(split) if clip.speaker in speakers]
-        return [clip for clip in clips if clip.motion.frames >= WINDOW]
-
-    def how(self, part: str, precision: str = "32-true") -> RunConfig:
+    def how(
+        self, part: str, precision: str = "32-true", resumes: Mapping[str, Any] | None = None
+    ) -> RunConfig:
         """How to run a stage; those of motion are small and stay in float32."""
         upstream = [self.bundle.hash_of(name) for name in self.bundle.upstream(part)]
-        words = [part, self.bundle.sizes_of(part), str(self.seed), self.data_digest, *upstream]
-        preset = self.bundle.preset
-        onsets = part == "gpt" or (part == "vq" and preset.vq.quant == "no_quant")
-        if onsets and preset.train_gpt.grids > 1:  # other windows than those of one grid
-            words.append(f"{preset.train_gpt.grids} grids")
-        identity = hashlib.sha256(" ".join(words).encode()).hexdigest()
+        sizes = self.bundle.sizes_of(part)
+        identity = digest(part, sizes, self.seed, self.data_digest, upstream, dict(resumes or {}))
         return replace(self.run, precision=precision, identity=identity)
+
+
+SHARED: dict[str, tuple[str, Callable[[Trainer], None]]] = {
+    "renderer": ("renderer", Trainer.renderer),
+    "motion": ("statistics", Trainer.motion),
+    "avd": ("avd", Trainer.avd),
+}
+"""Stages that all generators share: the part that each makes, and what makes it."""
 
 
 def open_data(folder: Path, output: Path) -> Dataset | KeypointDataset:
@@ -339,19 +250,13 @@ def open_data(folder: Path, output: Path) -> Dataset | KeypointDataset:
     return Dataset(folder)
 
 
-def _too_short(folder: Path) -> BadInput:
-    return BadInput(
-        f"{folder}: no training clip has {WINDOW} frames at {FPS} a second, as long as a window; "
-        "longer clips are needed"
-    )
-
-
 def train(
     dataset: Path,
     output: Path,
     *,
     preset: Preset | None = None,
     changes: dict[str, Any] | None = None,
+    generator: str | None = None,
     stage: str = "all",
     resume: bool = False,
     force: bool = False,
@@ -366,8 +271,10 @@ def train(
         output: folder of the bundle.
         preset: sizes; for a bundle that exists already its own are kept.
         changes: settings that differ from the preset (or from the bundle's own).
-        stage: one of `STAGES`, or "all": those that gesturing to speech needs, and "avd" where
-            `train_avd.with_all` is set.
+        generator: name of the family whose generator is trained; a bundle may have several. None
+            is the bundle's own, of a new one the default.
+        stage: "renderer", "motion", "avd", a stage of the generator, or "all": those that
+            gesturing to speech needs, and "avd" where `train_avd.with_all` is set.
         resume: go on with an interrupted training; finished stages are kept.
         force: throw an existing bundle away first.
         seed: everything random follows from it.
@@ -376,19 +283,15 @@ def train(
         run: device, precision and so on.
 
     Raises:
-        BadInput: no dataset, unknown stage or setting, or a bundle that exists already.
+        BadInput: no dataset, unknown generator, stage or setting, or a bundle that exists already.
     """
-    if stage not in (*STAGES, "all"):
-        raise BadInput(f"--stage {stage}: there are {', '.join(STAGES)} and all")
+    if generator is not None or not (Path(output) / "bundle.json").exists():
+        known = [*SHARED, *(one.name for one in family(generator).stages), "all"]
+        if stage not in known:
+            raise BadInput(f"--stage {stage}: there are {', '.join(known)}")
     check_apart(output, [dataset])
     data = open_data(dataset, output)
-    if speaker is not None and speaker not in data.speakers():
-        raise BadInput(f"--speaker {speaker}: {dataset} has {', '.join(data.speakers())}")
-    if not data.clips("train"):
-        raise BadInput(f"{dataset}: has no clips to train on; prepare more videos")
-    lengths = [c.n_frames for c in data.clips("train") if speaker in (None, c.speaker)]
-    if stage == "all" and max(lengths, default=0) < WINDOW:
-        raise _too_short(dataset)  # before hours of the renderer's training, which would do
+    _check_data(data, speaker, stage)
     if isinstance(data, KeypointDataset):
         preset = None if preset is None else of_points(preset, data.joints())
         data.check_sound()
@@ -397,40 +300,72 @@ def train(
         run = replace(run, precision=native_precision(run.device))
     fabric = launch(run)
     if fabric.global_rank == 0:
-        open_or_create(Path(output), preset, changes or {}, stage, resume, force)
+        open_or_create(Path(output), preset, changes or {}, generator, stage, resume, force)
     fabric.barrier()
     keep_memory()
     bundle = Bundle.open(output)
+    if isinstance(data, KeypointDataset) != bundle.preset.points:
+        raise BadInput(f"{output}: regions and joints do not mix; name another folder")
     measured = bundle.manifest["speakers"] if bundle.has("statistics") else [speaker]
     if speaker is not None and stage != "motion" and measured != [speaker]:
         raise BadInput(
             f"--speaker {speaker}: {output} was measured on others; --stage motion first"
         )
     trainer = Trainer(data, bundle, seed, run, resume, fabric, speaker)
-    if isinstance(data, KeypointDataset) != trainer.bundle.preset.points:
-        raise BadInput(f"{output}: regions and joints do not mix; name another folder")
-    for name in _stages(stage, trainer.bundle):
-        if stage == "all" and resume and trainer.bundle.has(PART_OF[name]):
-            trainer.check_dataset(PART_OF[name])
+    found = family(bundle.chosen(generator))
+    stages = stages_of(bundle, found)
+    for name in _chosen(stage, bundle, found):
+        part, action = stages[name]
+        if stage == "all" and resume and trainer.bundle.has(part):
+            trainer.check_dataset(part)
             console.print(f"{name}: done before")
             continue
-        action: Callable[[], None] = getattr(trainer, name)
-        action()
+        action(trainer)
     return trainer.bundle
 
 
-def _stages(stage: str, bundle: Bundle) -> list[str]:
+def _check_data(data: Dataset | KeypointDataset, speaker: str | None, stage: str) -> None:
+    """Refuse data that cannot be trained on, before hours of the renderer's training.
+
+    Raises:
+        BadInput: no such speaker, no clips, or none as long as a window.
+    """
+    if speaker is not None and speaker not in data.speakers():
+        raise BadInput(f"--speaker {speaker}: {data.path} has {', '.join(data.speakers())}")
+    clips = data.clips("train")
+    if not clips:
+        raise BadInput(f"{data.path}: has no clips to train on; prepare more videos")
+    lengths = [clip.n_frames for clip in clips if speaker in (None, clip.speaker)]
+    if stage == "all" and max(lengths, default=0) < WINDOW:
+        raise too_short(data.path)
+
+
+def stages_of(bundle: Bundle, found: Family) -> dict[str, tuple[str, Callable[[Trainer], None]]]:
+    """Stages of training a bundle with a generator, in order: the part each makes, and how."""
+
+    def make(stage: Stage) -> Callable[[Trainer], None]:
+        return lambda trainer: trainer.generator(found, stage)
+
+    own = {
+        stage.name: (f"{found.name}.{stage.name}", make(stage))
+        for stage in found.wanted(bundle.settings(found.name))
+    }
+    first = {name: SHARED[name] for name in ("renderer", "motion")}
+    stages = {**first, **own, "avd": SHARED["avd"]}
+    return {name: stage for name, stage in stages.items() if stage[0] in bundle.parts}
+
+
+def _chosen(stage: str, bundle: Bundle, found: Family) -> list[str]:
     """Stages to run for `--stage`; the motion of an imported renderer is measured by the way.
 
     Raises:
-        BadInput: a stage that a model of joints, or one without codes, does not have.
+        BadInput: a stage that a model of joints, or one with these settings, does not have.
     """
-    stages = [name for name in STAGES if PART_OF[name] in bundle.parts]
+    stages = list(stages_of(bundle, found))
     if stage not in (*stages, "all"):
         raise BadInput(f"--stage {stage}: this bundle has {', '.join(stages)}")
-    if stage == "vq" and not bundle.has("statistics"):
-        return ["motion", "vq"]
+    if stage == found.stages[0].name and not bundle.has("statistics"):
+        return ["motion", stage]
     if stage != "all":
         return [stage]
-    with_avd = bundle.preset.train_avd.with_all
-    return [name for name in stages if with_avd or PART_OF[name] not in OPTIONAL]
+    return [name for name in stages if name != "avd" or bundle.preset.train_avd.with_all]

@@ -68,8 +68,8 @@ class RendererConfig:
     flow_scale: float = 0.25
     generator: GeneratorConfig = field(default_factory=GeneratorConfig)
     skips: bool = True
-    avd_id_width: int = field(default=64, metadata={"of": "avd"})
-    avd_pose_width: int = field(default=64, metadata={"of": "avd"})
+    avd_id_width: int = 64
+    avd_pose_width: int = 64
     affine_mode: str = "svd"
     covariance_floor: float = 1e-4
     align_corners: bool = True

@@ -83,7 +83,7 @@ def uncached(gpt: CoSpeechGPT, onset: torch.Tensor, sampling: Sampling) -> torch
 
 def generator_of(name: str) -> AngieGenerator:
     """A generator of a preset's sizes with random weights, decoding as the shipped bundle does."""
-    sizes, statistics = preset(name), Bundle.open(BUNDLE).statistics()
+    sizes, statistics = preset(name).settings("angie"), Bundle.open(BUNDLE).statistics()
     torch.manual_seed(0)
     vq, refiner = VQMotionExtractor(sizes.vq), Refiner(sizes.refiner)
     gpt = CoSpeechGPT(sizes.gpt)

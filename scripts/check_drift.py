@@ -16,7 +16,7 @@ from torch import Tensor
 
 from angie.bundle import Bundle
 from angie.evaluation.definitions import PIXEL
-from angie.evaluation.rows import reconstructed
+from angie.generators.angie.family import load_generator
 from angie.motion.clips import MotionClip, read_clips
 from data_prep.dataset import Dataset
 from data_prep.errors import call_script
@@ -39,8 +39,13 @@ def errors(clips: list[MotionClip], shift_of: Callable[[MotionClip], Tensor]) ->
 
 def through(bundle: Bundle) -> Callable[[MotionClip], Tensor]:
     """Gives the shifts of a clip as its codes, or the regression, give them back."""
-    generator = bundle.generator()
-    return lambda clip: reconstructed(generator, clip).shift
+    generator, speakers = load_generator(bundle), bundle.statistics().speakers
+
+    def shifts(clip: MotionClip) -> Tensor:
+        speaker = clip.speaker if clip.speaker in speakers else None
+        return generator.reconstruct(clip.speech, clip.motion, speaker).shift
+
+    return shifts
 
 
 def main() -> None:

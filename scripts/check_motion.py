@@ -1,4 +1,4 @@
-"""What the motion side of bundles has learnt: codes, hearing, calm in silence, long sound.
+"""What the motion side of bundles has learnt: codes, use of the sound, calm in silence, long sound.
 
     python scripts/check_motion.py DATASET BUNDLE... -o OUT.json [--minutes 10]
 
@@ -11,7 +11,7 @@ codes     Perplexity of each stream, against that of as many clusters (k-means o
           shifts with the true ones over windows of 96 frames, each from its true first frame:
           encoded by itself, and `correlation in use`, in the context that the GPT's codes have
           (`vq.context`; of clips, decoded in windows that blend linearly).
-hearing   Cross-entropy in nats per code with the own sound, with that of another clip of the same
+sound     Cross-entropy in nats per code with the own sound, with that of another clip of the same
           speaker, and of an order-2 model of the codes (`angie.generators.angie.report`).
 beats     Beat consistency of the truth and of what is generated, with and without the refiner,
           from the truth's first pose and code pair, mean of three seeds; and `by chance`, the
@@ -56,9 +56,10 @@ from scipy.cluster.vq import kmeans2, vq
 from angie.bundle import Bundle
 from angie.evaluation.space import onsets_within, points
 from angie.generators.angie.codes import STREAMS, correlation, patterns, perplexity, reconstruction
+from angie.generators.angie.family import NAME, load_generator, load_vq
 from angie.generators.angie.generate import AngieGenerator
-from angie.generators.angie.report import hearing
-from angie.generators.angie.train_gpt import code_windows
+from angie.generators.angie.report import audio_sensitivity
+from angie.generators.angie.train import code_windows
 from angie.metrics.beats import consistency, usual_steps
 from angie.motion.channels import Channels
 from angie.motion.clips import MotionClip, read_clips
@@ -110,9 +111,9 @@ def supported(train: NDArray, test: NDArray, codes: int) -> float:
 
 def codes_of(bundle: Bundle, train: MotionWindows, test: MotionWindows) -> dict[str, Any]:
     """Reconstruction and use of the codes on test windows."""
-    scores: dict[str, Any] = reconstruction(bundle.vq(), test)
+    scores: dict[str, Any] = reconstruction(load_vq(bundle), test)
     scores["correlation in use"] = correlation_in_use(bundle, test)
-    split, size = 2 * train.statistics.regions, bundle.preset.vq.codes
+    split, size = 2 * train.statistics.regions, bundle.settings(NAME).vq.codes
     seen, held = pieces(train), pieces(test)
     for name, part in zip(STREAMS, (slice(0, split), slice(split, None)), strict=True):
         most = supported(seen[..., part], held[..., part], size)
@@ -123,7 +124,7 @@ def codes_of(bundle: Bundle, train: MotionWindows, test: MotionWindows) -> dict[
 
 def correlation_in_use(bundle: Bundle, windows: MotionWindows) -> float:
     """Correlation of shifts over windows, encoded in the context that the GPT learns."""
-    vq, channels = bundle.vq(), Channels.of(windows.statistics, bundle.preset.vq.quant)
+    vq, channels = load_vq(bundle), Channels.of(windows.statistics, bundle.settings(NAME).vq.quant)
     poses = windows.choose(["poses"]).stack("poses", 0, len(windows))
     made = channels.integrate(patterns(vq, windows), poses[:, 1])
     split = 2 * windows.statistics.regions
@@ -175,11 +176,10 @@ def beats(
 
 def begun(generator: AngieGenerator, clip: MotionClip, seed: int) -> Motion:
     """Motion to the sound of a clip, begun with its first pose and code pair."""
-    codes = generator.codes_of(clip.motion[:WINDOW])
-    assert codes is not None
     return generator.generate(
-        clip.speech, clip.motion[:1], clip.motion.frames, seed, clip.speaker, codes[:, :1]
-    )
+        clip.speech, clip.motion[:1], clip.motion.frames, seed=seed, speaker=clip.speaker,
+        seed_motion=clip.motion, greedy=None,
+    )  # fmt: skip
 
 
 def calm(
@@ -202,11 +202,10 @@ def calm(
         border = len(sound) // SAMPLES_PER_FRAME
         speech = Speech(np.concatenate([sound, np.zeros(QUIET * SAMPLE_RATE, np.float32)]))
         for seed in SEEDS:
-            motion = generator.generate(
-                speech, clip.motion[:1], border + QUIET * FPS, seed, clip.speaker
-            )
+            how: dict[str, Any] = {"seed": seed, "speaker": clip.speaker, "greedy": None}
+            motion = generator.generate(speech, clip.motion[:1], border + QUIET * FPS, **how)
             value = speed(motion, generator.statistics)
-            alone = generator.generate(silence, clip.motion[:1], QUIET * FPS, seed, clip.speaker)
+            alone = generator.generate(silence, clip.motion[:1], QUIET * FPS, **how)
             rest = speed(alone, generator.statistics)[1:].mean()
             made.append((value[border:].mean(), value[1:border].mean(), value[-50:].mean(), rest))
     table = np.array(made)
@@ -279,8 +278,10 @@ def generate_long(
     before = resident("VmHWM")
     held = resident("VmRSS")
     Path("/proc/self/clear_refs").write_text("5")  # the peak counts from here
-    generator, start = opened.generator(), clips[0].motion[:1]
-    motion = generator.generate(speech, start, frames, later, clips[0].speaker)
+    generator, start = load_generator(opened), clips[0].motion[:1]
+    motion = generator.generate(
+        speech, start, frames, seed=later, speaker=clips[0].speaker, greedy=None
+    )
     np.save(output, motion.vector().numpy())
     during = resident("VmHWM")
     return max(before, during), during - held
@@ -353,7 +354,7 @@ def seams(generator: AngieGenerator, speeds: list[NDArray]) -> dict[str, Any]:
 def check(data: Dataset, folder: Path, minutes: float) -> dict[str, Any]:
     """Everything about one bundle."""
     bundle = Bundle.open(folder)
-    statistics, generator = bundle.statistics(), bundle.generator()
+    statistics, generator = bundle.statistics(), load_generator(bundle)
     identity = f"{bundle.hash_of('renderer')}-{data.digest}"
     train, test = (
         [c for c in read_clips(data, bundle.train / "motion", split, identity)
@@ -363,7 +364,7 @@ def check(data: Dataset, folder: Path, minutes: float) -> dict[str, Any]:
     windows, held_out = (MotionWindows(clips, statistics) for clips in (train, test))
     assert generator.gpt is not None
     extractor: Any = generator.vq
-    heard = hearing(
+    found = audio_sensitivity(
         generator.gpt, code_windows(extractor, windows), code_windows(extractor, held_out)
     )
     result = {
@@ -371,7 +372,7 @@ def check(data: Dataset, folder: Path, minutes: float) -> dict[str, Any]:
         "training_minutes": sum(c.motion.frames for c in train) / FPS / 60,
         "test_minutes": sum(c.motion.frames for c in test) / FPS / 60,
         "codes": codes_of(bundle, windows, held_out),
-        "hearing": heard.as_dict() if heard is not None else None,
+        "audio_sensitivity": found.as_dict() if found is not None else None,
         "beats": beats(generator, train, test),
         "calm": calm(generator, data, test),
     }

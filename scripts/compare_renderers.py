@@ -35,7 +35,7 @@ VARIANTS = {
     "random_vgg+lap": DEEP + [LOSS + "random_vgg+lap"],
     "random_vgg": DEEP + [LOSS + "random_vgg"],
     "lap": DEEP + [LOSS + "lap"],
-    "lite": ["renderer.generator.width=80"],
+    "lite": ["renderer.generator.design=lite", "renderer.generator.width=80"],
     "paper": ["renderer.generator.design=paper", "renderer.generator.width=64"],
     "chol": [*DEEP, "renderer.affine_mode=chol"],
     "svd": [*DEEP, "renderer.affine_mode=svd"],

@@ -16,7 +16,7 @@ read -ra python <<<"${PYTHON:-python}"
 set="$work/set"
 settings=(
   'train_renderer.initial=""' 'train_renderer.teacher=""'
-  vq.restart_below=0.1 vq.context=clip train_vq.stride=5 train_vq.warmup=0.15 train_vq.summed=0.3 train_vq.summed_norm=square
+  vq.restart_below=0.1 vq.context=clip train_vq.stride=5 train_vq.warmup=0.15 train_vq.path_loss=0.3 train_vq.path_loss_norm=square
   "train_vq.schedule.milestones=[375,460]" train_vq.checks=6
   gpt.joint=true gpt.dropout=0.3 train_gpt.schedule.rate=1e-3 "train_gpt.schedule.milestones=[400]"
   train_gpt.stride=8 train_gpt.grids=8 train_gpt.checks=18 train_gpt.patience=4
@@ -30,7 +30,7 @@ joint=(
   train_refiner.schedule.most_steps=3000
 )
 single=(
-  train_vq.schedule.most_steps=6000 train_vq.summed=0.6 train_gpt.schedule.most_steps=700
+  train_vq.schedule.most_steps=6000 train_vq.path_loss=0.6 train_gpt.schedule.most_steps=700
   train_refiner.schedule.most_steps=1500
 )
 variant=(
@@ -50,7 +50,7 @@ copied() { # BUNDLE: the renderer and the motion of the set, nothing learnt
 }
 learnt() { # BUNDLE SEED SETTINGS...: its motion stages
   for stage in vq gpt refiner; do
-    [ -f "$work/$1/$stage.safetensors" ] ||
+    [ -f "$work/$1/angie.$stage.safetensors" ] ||
       "${angie[@]}" train "$set" -o "$work/$1" --stage "$stage" --seed "$2" --resume "${@:3}"
   done
 }
@@ -98,7 +98,7 @@ for bundle in "$work"/ablations/*/bundle.json; do rows+=("$(dirname "$bundle")")
 own=()
 for name in ${SPEAKERS-adam bella carl dora}; do
   copied "$name"
-  [ -f "$work/$name/vq.safetensors" ] ||
+  [ -f "$work/$name/angie.vq.safetensors" ] ||
     "${angie[@]}" train "$set" -o "$work/$name" --stage motion \
       --speaker "$name" gpt.joint=false
   learnt "$name" 0 "${settings[@]}" gpt.joint=false "${single[@]}"

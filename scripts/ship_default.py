@@ -15,7 +15,8 @@ import soundfile
 from PIL import Image
 from safetensors.torch import load_file
 
-from angie.bundle import BUNDLE, PARTS, PHOTO, SPEECH, UPSTREAM, Bundle, halve
+from angie.bundle import BUNDLE, PHOTO, SPEECH, Bundle
+from angie.parts import halve
 from data_prep.errors import call_script
 from data_prep.files import whole_folder
 from data_prep.phantom.make import recording, still
@@ -39,9 +40,9 @@ def ship_bundle(trained: Bundle, folder: Path) -> None:
         shipped = Bundle.create(part, preset)
         shipped.manifest["speakers"] = trained.manifest["speakers"]
         shipped.manifest["crop"] = trained.manifest["crop"]
-        for name in (part for part in UPSTREAM if trained.has(part) or part in PARTS):
+        for name in (part for part in trained.parts if trained.has(part) or part != "avd"):
             path = trained.path_of(name)
-            report = {**trained.manifest["parts"][name]["report"], "precision": "float16"}
+            report = {**trained.report(name), "precision": "float16"}
             if name == "statistics":
                 shutil.copy(path, part / path.name)
                 report["precision"] = "float32"

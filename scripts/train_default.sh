@@ -9,8 +9,7 @@ set -euo pipefail
 work="${1:?folder to work in}"
 here="$(cd "$(dirname "$0")" && pwd)"
 export OMP_WAIT_POLICY=PASSIVE
-slim=(renderer.generator.width=64 renderer.generator.bottleneck_blocks=4)
-deep=(renderer.generator.design=deep)
+slim=(renderer.generator.design=lite renderer.generator.width=64 renderer.generator.bottleneck_blocks=4)
 jitter=(hue=0.3 contrast=0.3 saturation=0.8 brightness=0.2)
 common=(train_renderer.warmup_steps=0 train_renderer.batch=4 train_renderer.blend=0.5
   train_renderer.sheet_every=250 "${jitter[@]/#/train_renderer.augmentation.}")
@@ -41,21 +40,20 @@ renderer data16 slim "${slim[@]}" train_renderer.initial="$work/taught.safetenso
   "train_renderer.milestones=[0.6, 0.9]" train_renderer.occlusion_cost=2 \
   train_renderer.augmentation.zoom=0.5
 [ -f "$work/masks.safetensors" ] ||
-  python "$here/refit_renderer.py" "$work/slim/renderer.safetensors" "$work/masks.safetensors" \
-    "${deep[@]}"
-renderer data20 regions "${deep[@]}" train_renderer.initial="$work/masks.safetensors" \
+  python "$here/refit_renderer.py" "$work/slim/renderer.safetensors" "$work/masks.safetensors"
+renderer data20 regions train_renderer.initial="$work/masks.safetensors" \
   train_renderer.steps=1800 train_renderer.rate=5e-4 "train_renderer.milestones=[0.89]" \
   train_renderer.equivariance_shift=4 train_renderer.augmentation.zoom=0.1
-renderer data70 bundle "${deep[@]}" train_renderer.initial="$work/regions/renderer.safetensors" \
+renderer data70 bundle train_renderer.initial="$work/regions/renderer.safetensors" \
   train_renderer.freeze_estimator=true train_renderer.steps=1200 train_renderer.rate=5e-4 \
   "train_renderer.milestones=[0.85]" train_renderer.occlusion_cost=0.5 train_renderer.ema=0.99 \
   train_renderer.augmentation.zoom=0.3
-[ -f "$work/bundle/vq.safetensors" ] ||
+[ -f "$work/bundle/angie.vq.safetensors" ] ||
   angie train "$work/data116" -o "$work/bundle" --stage vq --resume gpt.joint=true \
   train_vq.schedule.most_steps=6000 train_vq.checks=6 train_gpt.schedule.most_steps=1800 \
   train_gpt.checks=18 train_gpt.patience=4 train_refiner.checks=10
-[ -f "$work/bundle/gpt.safetensors" ] ||
+[ -f "$work/bundle/angie.gpt.safetensors" ] ||
   angie train "$work/data116" -o "$work/bundle" --stage gpt --resume
-[ -f "$work/bundle/refiner.safetensors" ] ||
+[ -f "$work/bundle/angie.refiner.safetensors" ] ||
   angie train "$work/data116" -o "$work/bundle" --stage refiner --resume
 python "$here/ship_default.py" "$work/bundle"

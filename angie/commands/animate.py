@@ -295,13 +295,12 @@ def ablate(
     if fgd is not None:
         want_file(fgd, "auto-encoder of a report")
     from angie.config import parse_overrides
-    from angie.evaluation.ablation import VARIANTS
     from angie.evaluation.ablation import ablate as run
     from angie.evaluation.networks import EvaluationConfig
     from mraa.training.run import RunConfig
 
     place = device_of(device)
-    chosen = VARIANTS if variants is None else [name.strip() for name in variants.split(",")]
+    chosen = None if variants is None else [name.strip() for name in variants.split(",")]
     scoring = EvaluationConfig(
         seeds=seeds,
         seed=seed,

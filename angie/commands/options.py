@@ -24,6 +24,10 @@ Style = Annotated[
         "models, whose speakers angie info lists."
     ),
 ]
+Generator = Annotated[
+    str | None,
+    typer.Option("--generator", help="Which generator of the bundle; without it angie's."),
+]
 Size = Annotated[
     str | None,
     typer.Option(

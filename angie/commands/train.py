@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from angie.commands.options import Device, Force, Seed, device_of, want_file
+from angie.commands.options import Device, Force, Generator, Seed, device_of, want_file
 from data_prep.errors import BadInput
 
 
@@ -21,8 +21,13 @@ def train(
     preset: Annotated[
         str | None, typer.Option(help="paper, lite or tiny; lite for a new bundle.")
     ] = None,
+    generator: Generator = None,
     stage: Annotated[
-        str, typer.Option(help="renderer, motion, vq, gpt, refiner, avd, or all but avd.")
+        str,
+        typer.Option(
+            help="renderer, motion, a stage of the generator (vq, gpt, refiner of angie), avd, or "
+            "all but avd."
+        ),
     ] = "all",
     speaker: Annotated[
         str | None, typer.Option(help="Learn the motion of one speaker of the dataset alone.")
@@ -39,7 +44,7 @@ def train(
     ] = 0,
     force: Force = False,
 ) -> None:
-    """Train a speaker bundle: renderer, motion, VQ, GPT, refiner."""
+    """Train a speaker bundle: the renderer, its motion, and a gesture generator."""
     if output is None:
         raise BadInput("--output: name the folder of the bundle, -o BUNDLE")
     from angie.config import parse_overrides
@@ -48,7 +53,7 @@ def train(
     from mraa.training.run import RunConfig
 
     known = (output / "bundle.json").exists() and (resume or not force)
-    chosen = find(preset or "lite") if preset or not known else None
+    chosen = find(preset or "lite", generator) if preset or not known else None
     if precision not in ("auto", "32-true", "bf16-mixed", "16-mixed"):
         raise BadInput(f"--precision {precision}: there are auto, 32-true, bf16-mixed, 16-mixed")
     if device != "auto":
@@ -59,6 +64,7 @@ def train(
         output,
         preset=chosen,
         changes=parse_overrides(settings or []),
+        generator=generator,
         stage=stage,
         resume=resume,
         force=force,

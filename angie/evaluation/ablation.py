@@ -12,25 +12,20 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from angie.bundle import OPTIONAL, STAGE_OF, TRAIN, Bundle
+from angie.bundle import TRAIN, Bundle
 from angie.config import Preset, override
 from angie.evaluation.evaluate import evaluate
 from angie.evaluation.networks import EvaluationConfig, stored_autoencoder
 from angie.evaluation.space import open_space
-from angie.generators.angie.tokenizer import VQMotionExtractor
-from angie.motion.clips import MotionClip
+from angie.generators import DEFAULT, family
 from angie.opening import try_out
-from angie.training import train
+from angie.parts import OPTIONAL
+from angie.training import stages_of, train
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
 from data_prep.files import check_apart, check_output, whole_file
 from data_prep.progress import console
 from mraa.training.run import RunConfig
-
-VARIANTS = ("no_quant", "mu_L", "dmu_L", "mu_dL", "no_cholesky", "no_refine", "full")
-"""Rows of the table in the paper's order; `no_cholesky` is of its section 3.2."""
 
 COLUMNS = (
     "fgd",
@@ -52,11 +47,11 @@ TABLE = "table3.md"
 REPORT = "report"
 
 
-def settings_of(base: Preset, variant: str) -> Preset:
-    """The preset of a variant."""
-    if variant == "no_refine":
-        return replace(base, generation=replace(base.generation, refine=False))
-    return replace(base, vq=replace(base.vq, quant=variant))
+def settings_of(base: Preset, variant: str, generator: str = DEFAULT) -> Preset:
+    """The preset of a variant of a generator."""
+    change = family(generator).variants[variant].change
+    changed = change(base.settings(generator))
+    return replace(base, generators={**base.generators, generator: changed})
 
 
 def ablate(
@@ -64,7 +59,8 @@ def ablate(
     bundle: Path,
     output: Path,
     *,
-    variants: Sequence[str] = VARIANTS,
+    variants: Sequence[str] | None = None,
+    generator: str | None = None,
     changes: Mapping[str, Any] | None = None,
     config: EvaluationConfig | None = None,
     seed: int = 0,
@@ -78,7 +74,8 @@ def ablate(
         bundle: its renderer and settings are every variant's.
         output: folder for the variants' bundles, `report` (see `angie.evaluation`) and the
             table.
-        variants: rows wanted.
+        variants: rows wanted; None is all of the generator's.
+        generator: whose variants; None is the bundle's default one.
         changes: settings that differ from the bundle's, such as training steps.
         config: how to score.
         seed: of every training.
@@ -92,12 +89,14 @@ def ablate(
         BadInput: an unknown variant, an auto-encoder of other regions, or a folder that holds
             something else.
     """
-    variants = list(dict.fromkeys(variants))  # a row once, however often it is named
-    unknown = [name for name in variants if name not in VARIANTS]
-    if unknown or not variants:
-        raise BadInput(f"--variants {','.join(unknown)}: there are {', '.join(VARIANTS)}")
     check_apart(output, [dataset, bundle])
     source, data = Bundle.open(bundle), Dataset(dataset)
+    found = family(source.chosen(generator))
+    known = found.variants
+    variants = list(known) if variants is None else list(dict.fromkeys(variants))
+    unknown = [name for name in variants if name not in known]
+    if unknown or not variants:
+        raise BadInput(f"--variants {','.join(unknown)}: there are {', '.join(known) or 'none'}")
     if source.preset.points:
         raise BadInput(f"{bundle}: the ablations are of regions")
     source.path_of("renderer")
@@ -106,9 +105,9 @@ def ablate(
     if config is not None and config.fgd is not None:  # told before hours of training
         stored_autoencoder(config.fgd, source.hash_of("renderer"))
     base = override(source.preset, changes or {})
-    base = replace(settings_of(base, "full"), generation=replace(base.generation, refine=True))
+    base = replace(base, generators={found.name: base.settings(found.name)})
     for name in variants:
-        try_out(settings_of(base, name))
+        try_out(settings_of(base, name, found.name))
     origin = {
         "renderer": source.hash_of("renderer"),
         "dataset_sha256": data.digest,
@@ -116,13 +115,20 @@ def ablate(
         "settings": json.loads(json.dumps(asdict(base))),
     }
     _begin(output, origin)
-    for name in ("full", *variants) if "no_refine" in variants else variants:
-        _train(dataset, source, output / name, settings_of(base, name), seed, run)
+    needed = [known[name].parts_of for name in variants]
+    for name in dict.fromkeys([*(whole for whole in needed if whole), *variants]):
+        preset = settings_of(base, name, found.name)
+        _train(dataset, source, output / name, preset, known[name].parts_of, seed, run)
     folders = [output / name for name in variants]
     numbers = evaluate(dataset, folders, output / REPORT, config, device=device, force=True)
     space = open_space(data, Bundle.open(folders[0]), output / "scratch", device)
-    broken = {name: broken_share(Bundle.open(output / name), space.test) for name in variants}
-    text = table(numbers, broken)
+    shares = {
+        title: {
+            name: share(Bundle.open(output / name).generator(), space.test) for name in variants
+        }
+        for title, share in found.columns.items()
+    }
+    text = table(numbers, shares)
     with whole_file(output / TABLE, force=True) as part:
         part.write_text(text + "\n")
     return text
@@ -156,7 +162,13 @@ def _read(mark: Path) -> Any:
 
 
 def _train(
-    dataset: Path, source: Bundle, folder: Path, preset: Preset, seed: int, run: RunConfig | None
+    dataset: Path,
+    source: Bundle,
+    folder: Path,
+    preset: Preset,
+    parts_of: str | None,
+    seed: int,
+    run: RunConfig | None,
 ) -> None:
     """Train what a variant's bundle lacks; renderer and motion are the source's."""
     if not (folder / "bundle.json").is_file():
@@ -166,17 +178,17 @@ def _train(
         copy_renderer(source, begun, preset)
         _copy_motion(begun)
         begun.rename(folder)
-    full = folder.parent / "full"
-    if not preset.generation.refine:
-        console.print("no_refine: the parts of full")
-        _copy_parts(Bundle.open(full), folder)
+    if parts_of is not None:
+        console.print(f"{folder.name}: the parts of {parts_of}")
+        _copy_parts(Bundle.open(folder.parent / parts_of), folder)
         return
-    for part in Bundle.open(folder).parts:
+    bundle = Bundle.open(folder)
+    name = bundle.chosen()
+    for stage, (part, _) in stages_of(bundle, family(name)).items():
         if part in OPTIONAL or Bundle.open(folder).has(part):
             continue
-        console.print(f"{folder.name}: {STAGE_OF.get(part, part)}")
-        stage = STAGE_OF.get(part, part)
-        train(dataset, folder, stage=stage, resume=True, seed=seed, run=run)
+        console.print(f"{folder.name}: {stage}")
+        train(dataset, folder, generator=name, stage=stage, resume=True, seed=seed, run=run)
 
 
 def copy_renderer(source: Bundle, folder: Path, preset: Preset) -> None:
@@ -194,7 +206,7 @@ def copy_renderer(source: Bundle, folder: Path, preset: Preset) -> None:
 
 def _copy_motion(folder: Path) -> None:
     """Give a variant the region motion that one before it has measured, if it has none."""
-    places = [folder.parent / name / TRAIN / "motion" for name in VARIANTS]
+    places = sorted(folder.parent.glob(f"*/{TRAIN}/motion"))
     measured = next((place for place in places if place.is_dir()), None)
     if measured is not None and not (folder / TRAIN / "motion").is_dir():
         shutil.copytree(measured, folder / TRAIN / "motion")
@@ -208,35 +220,17 @@ def _copy_parts(source: Bundle, folder: Path) -> None:
     made.write()
 
 
-@torch.no_grad()
-def broken_share(bundle: Bundle, clips: Sequence[MotionClip]) -> float:
-    """Share of the frames of clips, through their own codes, with a C that is none.
-
-    Summed changes of C need not be positive definite; summed Cholesky factors always are.
-    """
-    generator = bundle.generator()
-    broken, frames = 0, 0
-    for clip in clips:
-        codes = generator.codes_of(clip.motion)
-        if codes is not None and isinstance(generator.vq, VQMotionExtractor):
-            values = generator.vq.decode_whole(codes)[: clip.motion.frames]
-            found = generator.channels.broken(values, clip.motion[:1].vector()[0])
-            broken += int(found.sum())
-        frames += clip.motion.frames
-    return broken / max(frames, 1)
-
-
-def table(numbers: Mapping[str, Any], broken: Mapping[str, float]) -> str:
+def table(numbers: Mapping[str, Any], shares: Mapping[str, Mapping[str, float]]) -> str:
     """The table as Markdown, with the rows of reference above the variants.
 
     Args:
         numbers: what `evaluate` returned, of one space.
-        broken: share of frames with a broken covariance, by variant.
+        shares: further columns by their title: a share of the frames, by variant.
     """
     space = numbers["spaces"][0]
     images = {row["name"]: row["scores"] for row in (space["images"] or {"rows": []})["rows"]}
     titles = {entry["key"]: entry for entry in numbers["definitions"]}
-    head = ["", *(titles[key]["title"] for key in COLUMNS), "C broken"]
+    head = ["", *(titles[key]["title"] for key in COLUMNS), *shares]
     lines = [head, ["---"] * len(head)]
     for row in space["rows"]:
         scores = {**row["scores"], **images.get(row["name"], {})}
@@ -245,7 +239,8 @@ def table(numbers: Mapping[str, Any], broken: Mapping[str, float]) -> str:
             score = scores.get(key)
             told = score is not None and score["mean"] is not None
             cells.append(f"{score['mean']:.{titles[key]['digits']}f}" if told and score else "-")
-        share = broken.get(row["name"])
-        cells.append("-" if share is None else f"{100 * share:.1f} %")
+        for column in shares.values():
+            share = column.get(row["name"])
+            cells.append("-" if share is None else f"{100 * share:.1f} %")
         lines.append(cells)
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)

@@ -9,7 +9,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from angie import __version__
-from angie.bundle import OPTIONAL, Bundle, source_commit
+from angie.bundle import Bundle
 from angie.evaluation import report
 from angie.evaluation.images import TRUE_REGIONS, Driver, FrameJudge, score_pictures
 from angie.evaluation.joints import true_joints
@@ -28,13 +28,15 @@ from angie.evaluation.rows import (
     mismatched,
     motionless,
     nearest_audio,
-    reconstructed,
 )
 from angie.evaluation.scoring import make_judge
 from angie.evaluation.space import RegionSpace, open_space
 from angie.evaluation.videos import in_turn, write_videos
+from angie.generators import family
+from angie.generators.stages import plain
 from angie.motion.clips import MotionClip
 from angie.motion.keypoints import KeypointDataset
+from angie.parts import source_commit
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
 from data_prep.files import check_apart, whole_folder
@@ -130,9 +132,8 @@ def check_whole(bundle: Bundle) -> None:
     Raises:
         BadInput: it lacks one.
     """
-    for part in bundle.parts:
-        if part not in OPTIONAL:
-            bundle.path_of(part)
+    for part in bundle.needed():
+        bundle.path_of(part)
 
 
 def remove_folder(folder: Path) -> None:
@@ -252,7 +253,7 @@ def told_of(bundle: Bundle, data: Dataset | KeypointDataset) -> dict[str, Any]:
         "parts": {name: entry["sha256"] for name, entry in parts.items()},
         "trained_on": trained.get("dataset", ""),
         "trained_on_this_dataset": trained.get("dataset_sha256") == data.digest,
-        "generation": asdict(bundle.preset.generation),
+        "generation": plain({name: bundle.settings(name) for name in bundle.generators}),
     }
 
 
@@ -308,8 +309,14 @@ def _held(clip: MotionClip) -> Motion:
 
 
 def _through_codes(bundle: Bundle) -> Driver:
-    generator = bundle.generator()
-    return lambda clip: reconstructed(generator, clip)
+    name, generator, speakers = bundle.chosen(), bundle.generator(), bundle.statistics().speakers
+    through = family(name).reconstruct
+    assert through is not None
+
+    def driver(clip: MotionClip) -> Motion:
+        return through(generator, clip, clip.speaker if clip.speaker in speakers else None)
+
+    return driver
 
 
 def numbers_of(

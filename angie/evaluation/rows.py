@@ -1,7 +1,7 @@
 """Rows of the table: ground truth, baselines, generators; each gives motion for every test clip."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from angie.bundle import Bundle
 from angie.evaluation.space import RegionSpace, onsets_within
-from angie.generators.angie.generate import AngieGenerator
+from angie.generators import family
 from angie.motion.clips import MotionClip
 from data_prep.rates import FRAMES_PER_TOKEN
 from mraa.motion import Motion, positive
@@ -188,6 +188,7 @@ def generated(
     seeds: Sequence[int],
     start: str = "truth",
     greedy: bool = False,
+    generator_name: str | None = None,
 ) -> Row:
     """What a bundle's generator makes of the sound of each test clip, from its first pose.
 
@@ -198,51 +199,28 @@ def generated(
         seeds: one run each; a greedy generator gives one run.
         start: "truth" begins with the first code pair of the recorded motion (Bailando's and the
             paper's protocol), "pose" with the codes of stillness, as for a photo.
-        greedy: always the likeliest code, whatever the bundle's own sampling.
+        greedy: always the likeliest gesture, whatever the bundle's own sampling.
+        generator_name: which generator of the bundle; None is its default.
     """
     if start not in STARTS:
         raise ValueError(f"start is one of {', '.join(STARTS)}, not {start!r}")
-    generator = bundle.generator()
-    if greedy:
-        sampling = replace(generator.config.sampling, method="greedy")
-        generator = replace(generator, config=replace(generator.config, sampling=sampling))
-    random = generator.config.sampling.method != "greedy"
+    generator, speakers = bundle.generator(generator_name), bundle.statistics().speakers
     runs = []
-    for seed in seeds if random else seeds[:1]:
+    for seed in seeds if generator.random and not greedy else seeds[:1]:
         run = []
         for clip in space.test:
-            codes = generator.codes_of(clip.motion[:WINDOW]) if start == "truth" else None
-            codes = None if codes is None else codes[:, :1]
             motion = generator.generate(
                 clip.speech,
                 clip.motion[:1],
                 clip.motion.frames,
-                seed,
-                speaker=known_speaker(generator, clip.speaker),
-                start_codes=codes,
+                seed=seed,
+                speaker=clip.speaker if clip.speaker in speakers else None,
+                seed_motion=clip.motion if start == "truth" else None,
+                greedy=greedy or None,
             )
             run.append(perform(clip, motion))
         runs.append(run)
-    begin = "the truth's first code pair" if start == "truth" else "the codes of stillness"
-    how = generator.config.sampling.method
-    return Row(name, f"ANGIE, from each clip's first pose and {begin}, sampling {how}.", runs)
-
-
-def known_speaker(generator: AngieGenerator, speaker: str) -> str | None:
-    """The speaker's name if the generator was trained on them."""
-    return speaker if speaker in generator.statistics.speakers else None
-
-
-def reconstructed(generator: AngieGenerator, clip: MotionClip) -> Motion:
-    """A clip through its own codes: encoded, decoded, refined; nothing is drawn, none is bounded.
-
-    The motion behind the image scores of the paper's Table 3.
-    """
-    whole = replace(generator, config=replace(generator.config, bounding="off"))
-    return whole.generate(
-        clip.speech,
-        clip.motion[:1],
-        clip.motion.frames,
-        speaker=known_speaker(generator, clip.speaker),
-        start_codes=generator.codes_of(clip.motion),
-    )
+    begin = "the beginning of its motion" if start == "truth" else "stillness"
+    how = "drawn at random" if generator.random and not greedy else "the likeliest"
+    title = family(bundle.chosen(generator_name)).title
+    return Row(name, f"{title}, from each clip's first pose and {begin}; gestures {how}.", runs)

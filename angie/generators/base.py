@@ -8,7 +8,7 @@ Whatever stands outside a family's own folder knows these classes alone.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 import torch
 from torch import Tensor
@@ -44,13 +44,16 @@ class GestureGenerator(Protocol):
         fps: frames a second that the generator works at; callers see 25 whatever it is.
         features: names of the features of `Speech` that it reads.
         lookahead: seconds of sound after a frame that it has to know; None: the whole recording.
-        random: whether the seed matters where `greedy` is None.
     """
 
     fps: int
     features: tuple[str, ...]
     lookahead: float | None
-    random: bool
+
+    @property
+    def random(self) -> bool:
+        """Whether the seed matters where `greedy` is None."""
+        return True
 
     def generate(
         self,
@@ -103,7 +106,12 @@ class GestureGenerator(Protocol):
         Raises:
             NotImplementedError: `lookahead` is None.
         """
-        raise NotImplementedError(f"{type(self).__name__} needs the whole recording at once")
+        no_stream(type(self).__name__)
+
+
+def no_stream(name: str) -> NoReturn:
+    """Refuse to stream: the generator needs the whole recording at once."""
+    raise NotImplementedError(f"{name} needs the whole recording at once; it cannot stream")
 
 
 class ResamplingGenerator(GestureGenerator, Protocol):

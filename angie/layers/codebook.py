@@ -159,7 +159,7 @@ class Codebook(nn.Module):
         return (share * len(self.usage) >= 0.1).sum()
 
     @torch.no_grad()
-    def begin(self, values: Tensor) -> None:
+    def init_entries(self, values: Tensor) -> None:
         """Take the cluster centres of vectors (n, W) as entries, in place of a first batch's."""
         centres = _broadcast(cluster(values.float(), len(self.entries)))
         shares = torch.bincount(_nearest(values.float(), centres), minlength=len(centres)).float()

@@ -12,7 +12,6 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from angie.motion.clips import MotionClip, begun_later
-from angie.motion.drift import activity
 from angie.motion.statistics import MotionStatistics
 from data_prep.errors import BadInput
 from data_prep.progress import progress
@@ -24,10 +23,6 @@ WINDOW = 96
 
 WINDOW_TOKENS = WINDOW // FRAMES_PER_TOKEN
 """Codes of a window."""
-
-
-STILL = 0.1
-"""Mean activity below which a window is still, in units of the training deviation."""
 
 
 STRIDE = 32
@@ -139,33 +134,12 @@ class MotionWindows(Dataset[dict[str, Tensor]]):
         chosen.places = self.places
         return chosen
 
-    def thinned(self, share: float) -> "MotionWindows":
-        """Without the still windows that are more than `share` of what is kept.
-
-        A window is still when its deltas, in units of their training deviation, are below 0.1 in
-        the mean. What is left out is spread evenly over the still windows.
-        """
-        if share >= 1:
-            return self
-        moved = torch.tensor([self._activity(*place) for place in self.places])
-        still = (moved < STILL).nonzero().flatten()
-        wanted = int(share / (1 - share) * (len(moved) - len(still)))
-        if len(still) <= wanted or len(still) == len(moved):
-            return self
-        kept = moved >= STILL
-        kept[still[torch.linspace(0, len(still) - 1, wanted).long()]] = True
-        return self.chosen(kept.nonzero().flatten().tolist())
-
     def chosen(self, indices: Sequence[int]) -> "MotionWindows":
         """Some of the windows, with their parts and rows."""
         fewer = self.choose(self.parts)
         fewer.places = [self.places[i] for i in indices]
         fewer.rows = {name: rows[list(indices)] for name, rows in self.rows.items()}
         return fewer
-
-    def _activity(self, index: int, first: int) -> float:
-        change = self._poses(self.clips[index], first).diff(dim=0) / self.statistics.delta_scale
-        return float(activity(change).mean())
 
     def _poses(self, clip: MotionClip, first: int) -> Tensor:
         motion = clip.motion[max(first - 1, 0) : first + self.frames].vector()

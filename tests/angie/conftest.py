@@ -1,6 +1,5 @@
 """Small synthetic clips whose motion follows their sound, and a bundle that is joint."""
 
-import dataclasses
 import shutil
 
 import numpy as np
@@ -9,6 +8,7 @@ import torch
 
 from angie.bundle import Bundle
 from angie.config import override
+from angie.generators.angie.family import load_gpt
 from angie.generators.angie.gpt import CoSpeechGPT
 from angie.motion.clips import MotionClip
 from angie.motion.statistics import MotionStatistics, measure
@@ -82,10 +82,9 @@ def joint_bundle(bundle, tmp_path_factory) -> Bundle:
     shutil.copytree(bundle.folder, folder, ignore=shutil.ignore_patterns("train"))
     made = Bundle.open(folder)
     made.preset = override(made.preset, {"gpt": {"joint": True}})
-    made.manifest["config"] = dataclasses.asdict(made.preset)
     torch.manual_seed(0)
-    gpt = CoSpeechGPT(made.preset.gpt, len(made.statistics().speakers))
+    gpt = CoSpeechGPT(made.settings("angie").gpt, len(made.statistics().speakers))
     torch.nn.init.normal_(gpt.speaker.weight, std=2.0)
-    gpt.load_state_dict({**gpt.state_dict(), **bundle.gpt().state_dict()})
-    made.add("gpt", gpt.state_dict(), {})
+    gpt.load_state_dict({**gpt.state_dict(), **load_gpt(bundle).state_dict()})
+    made.add("angie.gpt", gpt.state_dict(), {})
     return made

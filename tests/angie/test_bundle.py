@@ -5,11 +5,14 @@ import shutil
 import pytest
 import torch
 
-from angie.bundle import PARTS, Bundle, _sizes, halve, load_weights
+from angie.bundle import Bundle
 from angie.config import override, preset
+from angie.parts import changed, halve, load_weights
 from angie.summary import describe
 from angie.training import train
 from data_prep.errors import BadInput
+
+PARTS = ("renderer", "statistics", "angie.vq", "angie.gpt", "angie.refiner")
 
 
 @pytest.fixture
@@ -24,7 +27,9 @@ def test_every_part_is_there_and_says_what_it_was_trained_on(copy):
     bundle = Bundle.open(copy)
     manifest = json.loads((copy / "bundle.json").read_text())
     assert all(bundle.has(part) for part in PARTS)
-    assert manifest["parts"]["gpt"]["upstream"]["vq"] == manifest["parts"]["vq"]["sha256"]
+    assert bundle.needed() == list(PARTS)
+    upstream = manifest["parts"]["angie.gpt"]["upstream"]
+    assert upstream["angie.vq"] == manifest["parts"]["angie.vq"]["sha256"]
     assert manifest["config"] == json.loads(json.dumps(dataclasses.asdict(bundle.preset)))
     report = manifest["parts"]["renderer"]["report"]
     assert report["perceptual"] == "random_vgg+lap" and report["minutes"] > 0
@@ -40,15 +45,15 @@ def test_parts_load_in_evaluation_mode(copy):
 
 
 def test_a_changed_file_is_refused(copy):
-    data = bytearray((copy / "vq.safetensors").read_bytes())
+    data = bytearray((copy / "angie.vq.safetensors").read_bytes())
     data[-1] ^= 1
-    (copy / "vq.safetensors").write_bytes(data)
+    (copy / "angie.vq.safetensors").write_bytes(data)
     with pytest.raises(BadInput, match="wrong hash"):
         Bundle.open(copy).generator()
 
 
 def test_a_missing_part_is_named(copy):
-    (copy / "gpt.safetensors").unlink()
+    (copy / "angie.gpt.safetensors").unlink()
     with pytest.raises(BadInput, match="gpt.safetensors: missing"):
         Bundle.open(copy).generator()
     assert "UNUSABLE" in describe(Bundle.open(copy))
@@ -68,7 +73,7 @@ def test_a_part_trained_on_another_renderer_is_refused(copy):
         k: v + 1 if v.is_floating_point() else v for k, v in bundle.renderer().state_dict().items()
     }
     bundle.add("renderer", tensors, {})
-    assert not bundle.has("vq")
+    assert not bundle.has("angie.vq")
     with pytest.raises(BadInput, match="trained on another renderer"):
         Bundle.open(copy).generator()
 
@@ -102,8 +107,10 @@ def test_training_refuses_to_overwrite(dataset, copy, tmp_path):
 
 
 def test_training_tells_wrong_arguments(dataset, copy, tmp_path):
-    with pytest.raises(BadInput, match="--stage"):
+    with pytest.raises(BadInput, match="--stage everything: there are renderer, motion, avd, vq"):
         train(dataset.path, tmp_path / "new", stage="everything")
+    with pytest.raises(BadInput, match="--generator none: there is no such generator"):
+        train(dataset.path, tmp_path / "new", generator="none")
     with pytest.raises(BadInput, match="no dataset"):
         train(tmp_path, tmp_path / "new")
     with pytest.raises(BadInput, match="made with --preset tiny"):
@@ -125,12 +132,12 @@ def test_a_part_trained_again_makes_those_after_it_train_again(dataset, bundle, 
     shutil.copytree(bundle.folder, folder)
     train(dataset.path, folder, stage="vq", resume=True, seed=1)
     again = Bundle.open(folder)
-    assert again.has("vq") and not again.has("gpt")
-    assert again.hash_of("vq") != bundle.hash_of("vq")
+    assert again.has("angie.vq") and not again.has("angie.gpt")
+    assert again.hash_of("angie.vq") != bundle.hash_of("angie.vq")
     finished = train(dataset.path, folder, resume=True, seed=1)
     assert all(finished.has(part) for part in PARTS)
     assert finished.hash_of("renderer") == bundle.hash_of("renderer")
-    assert finished.hash_of("gpt") != bundle.hash_of("gpt")
+    assert finished.hash_of("angie.gpt") != bundle.hash_of("angie.gpt")
 
 
 def test_resume_keeps_finished_stages(dataset, bundle, capsys):
@@ -151,34 +158,29 @@ def test_the_disentanglement_network_is_an_extra_part(dataset, bundle, tmp_path)
     assert "recovery" in trained.manifest["parts"]["avd"]["report"]
 
 
-def test_a_later_setting_at_its_default_leaves_older_bundles_whole():
-    @dataclasses.dataclass(frozen=True)
-    class Older:
-        width: int = 8
-
-    @dataclasses.dataclass(frozen=True)
-    class Newer:
-        width: int = 8
-        depth: int = dataclasses.field(default=1, metadata={"later": True})
-
-    assert _sizes(Newer(), "vq") == _sizes(Older(), "vq") == {"width": 8}
-    assert _sizes(Newer(depth=2), "vq") == {"width": 8, "depth": 2}
+def test_a_later_setting_counts_as_its_default_for_parts_from_before_it(copy):
+    bundle = Bundle.open(copy)
+    trained = bundle.manifest["parts"]["angie.gpt"]["settings"]
+    assert trained == bundle.sizes_of("angie.gpt")
+    del trained["gpt"]["joint"]  # False where it is not set
+    assert changed("angie.gpt", trained, bundle.preset) == ""
+    joint = override(bundle.preset, {"gpt": {"joint": True}})
+    assert changed("angie.gpt", trained, joint) == "gpt.joint=False, not True"
 
 
-def test_a_setting_of_another_part_does_not_count():
-    @dataclasses.dataclass(frozen=True)
-    class Shared:
-        width: int = dataclasses.field(default=8, metadata={"of": "avd"})
-
-    assert _sizes(Shared(4), "renderer") == {"width": 8}
-    assert _sizes(Shared(4), "avd") == {"width": 4}
+def test_the_widths_of_avd_are_no_part_of_the_renderer(copy):
+    bundle = Bundle.open(copy)
+    wider = override(bundle.preset, {"renderer": {"avd_id_width": 8}})
+    trained = bundle.manifest["parts"]["renderer"]["settings"]
+    assert changed("renderer", trained, wider) == ""
+    assert changed("avd", bundle.sizes_of("avd"), wider) == "renderer.avd_id_width=64, not 8"
 
 
 def test_gpt_and_refiner_alone_depend_on_the_context_of_codes(copy):
     before, after = Bundle.open(copy), Bundle.open(copy)
     after.preset = override(after.preset, {"vq": {"context": "clip"}})
-    changed = [part for part in PARTS if before.sizes_of(part) != after.sizes_of(part)]
-    assert changed == ["gpt", "refiner"]
+    different = [part for part in PARTS if before.sizes_of(part) != after.sizes_of(part)]
+    assert different == ["angie.gpt", "angie.refiner"]
 
 
 def test_codes_measured_in_another_context_are_refused(dataset, bundle, tmp_path):
@@ -201,4 +203,4 @@ def test_the_motion_of_one_speaker_alone(dataset, bundle, tmp_path):
     assert report["clips"] == len(dataset.clips("train", speaker="bella"))
     changes = {"train_vq": {"schedule": {"most_steps": 2}}}
     trained = train(dataset.path, folder, stage="vq", speaker="bella", changes=changes)
-    assert trained.manifest["parts"]["vq"]["report"]["clips"] == report["clips"]
+    assert trained.manifest["parts"]["angie.vq"]["report"]["clips"] == report["clips"]

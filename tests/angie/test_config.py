@@ -3,28 +3,31 @@ import json
 
 import pytest
 
-from angie.config import PRESETS, Preset, override, parse_overrides, preset
+from angie.config import PRESETS, Preset, override, parse_overrides, preset, stored
+from angie.generators.angie.settings import AngieSettings
 from data_prep.errors import BadInput
 
 
 def test_paper_numbers():
     paper = preset("paper")
-    assert paper == Preset()
-    assert paper.renderer.regions == paper.vq.regions == paper.refiner.regions == 20
-    assert (paper.vq.codes, paper.vq.code_width, paper.vq.width) == (512, 512, 512)
-    assert (paper.gpt.width, paper.gpt.heads, paper.gpt.dropout) == (768, 12, 0.1)
+    angie = paper.settings("angie")
+    assert paper == Preset(generators={"angie": AngieSettings()})
+    assert paper.renderer.regions == angie.vq.regions == angie.refiner.regions == 20
+    assert (angie.vq.codes, angie.vq.code_width, angie.vq.width) == (512, 512, 512)
+    assert (angie.gpt.width, angie.gpt.heads, angie.gpt.dropout) == (768, 12, 0.1)
     assert paper.renderer.affine_mode == "svd" and paper.renderer.temperature == 0.1
-    assert paper.generation.bounding == "off" and paper.generation.sampling.method == "greedy"
-    assert not paper.generation.sampling.repeat_guard
-    assert paper.train_vq.schedule.rate == 3e-5 and paper.train_vq.commitment == 0.1
-    assert paper.vq.restart_below == 1 and paper.train_vq.summed == paper.train_vq.warmup == 0
+    assert angie.generation.bounding == "off" and angie.generation.sampling.method == "greedy"
+    assert not angie.generation.sampling.repeat_guard
+    assert angie.train_vq.schedule.rate == 3e-5 and angie.train_vq.commitment == 0.1
+    assert angie.vq.restart_below == 1 and angie.train_vq.path_loss == angie.train_vq.warmup == 0
     assert paper.train_renderer.rate == 2e-4 and paper.train_renderer.augmentation.zoom == 0
 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_preset_survives_json(name):
-    stored = json.loads(json.dumps(dataclasses.asdict(preset(name))))
-    assert override(Preset(), stored) == preset(name)
+    config = json.loads(json.dumps(dataclasses.asdict(preset(name))))
+    assert stored(config).settings("angie") == preset(name).settings("angie")
+    assert override(stored(config), {}) == stored(config)
 
 
 def test_overrides_from_arguments_and_yaml(tmp_path):
@@ -32,15 +35,19 @@ def test_overrides_from_arguments_and_yaml(tmp_path):
     file.write_text("gpt: {layers: 2, width: 64}\ntrain_vq: {schedule: {rate: 1e-3}}\n")
     changes = parse_overrides([str(file), "gpt.layers=4", "train_renderer.betas=[0.4, 0.9]"])
     changed = override(preset("lite"), changes)
-    assert (changed.gpt.layers, changed.gpt.width) == (4, 64)
-    assert changed.train_vq.schedule.rate == 1e-3
+    angie = changed.settings("angie")
+    assert (angie.gpt.layers, angie.gpt.width) == (4, 64)
+    assert angie.train_vq.schedule.rate == 1e-3
     assert changed.train_renderer.betas == (0.4, 0.9)
-    assert changed.refiner == preset("lite").refiner
+    assert angie.refiner == preset("lite").settings("angie").refiner
+    named = override(preset("lite"), parse_overrides(["angie.gpt.layers=4"]))
+    assert named.settings("angie").gpt.layers == 4
 
 
 def test_the_number_of_regions_reaches_every_part():
     changed = override(preset("lite"), parse_overrides(["renderer.regions=12"]))
-    assert changed.renderer.regions == changed.vq.regions == changed.refiner.regions == 12
+    angie = changed.settings("angie")
+    assert changed.renderer.regions == angie.vq.regions == angie.refiner.regions == 12
     with pytest.raises(BadInput, match="disagree"):
         override(preset("lite"), parse_overrides(["vq.regions=12"]))
 
@@ -112,7 +119,7 @@ def test_unknown_preset():
 
 def test_on_and_off_are_words_where_a_word_is_wanted():
     for word in ("on", "off", "auto"):
-        changed = override(Preset(), parse_overrides([f"generation.bounding={word}"]))
-        assert changed.generation.bounding == word
+        changed = override(preset("paper"), parse_overrides([f"generation.bounding={word}"]))
+        assert changed.settings("angie").generation.bounding == word
     with pytest.raises(BadInput, match="sampling is one of greedy, topk, not 'on'"):
-        override(Preset(), parse_overrides(["generation.sampling.method=yes"]))
+        override(preset("paper"), parse_overrides(["generation.sampling.method=yes"]))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from angie.bundle import BUNDLE, DEFAULT, PARTS, PHOTO, SPEECH, Bundle
+from angie.bundle import BUNDLE, DEFAULT, PHOTO, SPEECH, Bundle
 from angie.opening import open_or_create
 from angie.pipeline import animate
 from data_prep.errors import BadInput
@@ -17,7 +17,7 @@ from data_prep.speaker.crop import find_faces
 
 def test_the_shipped_bundle_is_whole_and_small():
     bundle = Bundle.open(BUNDLE)
-    assert all(bundle.has(part) for part in PARTS)
+    assert all(bundle.has(part) for part in bundle.needed())
     assert bundle.preset.name == "lite"
     size = sum(path.stat().st_size for path in DEFAULT.rglob("*") if path.is_file())
     assert size < 20e6
@@ -50,8 +50,9 @@ def test_motion_of_a_copy_is_trained_on_without_what_its_renderer_began_with(tmp
     folder = tmp_path / "copy"
     shutil.copytree(BUNDLE, folder)
     assert Bundle.open(folder).preset.train_renderer.initial  # weights that are not there
-    changes = {"train_vq": {"summed": 2.0}}
-    bundle = open_or_create(folder, None, changes, "vq", resume=False, force=False)
-    assert Bundle.open(folder).preset.train_vq.summed == bundle.preset.train_vq.summed == 2.0
+    changes = {"train_vq": {"path_loss": 2.0}}
+    bundle = open_or_create(folder, None, changes, None, "vq", resume=False, force=False)
+    for made in (bundle, Bundle.open(folder)):
+        assert made.settings("angie").train_vq.path_loss == 2.0
     with pytest.raises(BadInput, match="not the weights"):
-        open_or_create(folder, None, changes, "renderer", resume=False, force=False)
+        open_or_create(folder, None, changes, None, "renderer", resume=False, force=False)

@@ -13,7 +13,8 @@ from safetensors.torch import load_file
 
 from angie.bundle import Bundle
 from angie.cli import main
-from angie.training import _stages
+from angie.generators.angie.family import FAMILY
+from angie.training import _chosen
 from mraa.avd import relative_regions
 from mraa.released import read_checkpoint
 from mraa.released_sizes import config_from_released, params_from_tensors
@@ -260,8 +261,8 @@ def test_an_imported_bundle_tells_what_it_lacks(imported, tmp_path, capsys):
     status, out, _ = call(capsys, "info", imported)
     assert status == 0 and "imported from other.pth, whose authors' terms" in out
     bundle = Bundle.open(imported)
-    assert _stages("vq", bundle) == ["motion", "vq"]
-    assert _stages("all", bundle) == ["renderer", "motion", "vq", "gpt", "refiner"]
+    assert _chosen("vq", bundle, FAMILY) == ["motion", "vq"]
+    assert _chosen("all", bundle, FAMILY) == ["renderer", "motion", "vq", "gpt", "refiner"]
     photo, speech = (Path("angie/default") / name for name in ("photo.png", "speech.flac"))
     status, _, err = call(
         capsys, "animate", photo, speech, "-o", tmp_path / "x.mp4", "--speaker", imported
@@ -278,7 +279,7 @@ def test_an_imported_bundle_takes_the_stages_it_lacks(dataset, imported, capsys)
     before = Bundle.open(imported).hash_of("renderer")
     status, _, _ = call(capsys, "train", dataset.path, "-o", imported, "--stage", "vq", *few)
     bundle = Bundle.open(imported)
-    assert status == 0 and bundle.has("statistics") and bundle.has("vq") and bundle.has("avd")
+    assert status == 0 and bundle.has("statistics") and bundle.has("angie.vq") and bundle.has("avd")
     status, _, err = call(capsys, "train", dataset.path, "-o", imported, "--resume")
     assert status == 0 and "renderer: done before" in err and "vq: done before" in err
     bundle = Bundle.open(imported)

@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from angie.bundle import Bundle
+from angie.generators.angie.family import NAME, load_generator
 from angie.generators.angie.generate import AngieGenerator
 from angie.generators.angie.tokenizer import VQMotionExtractor
 from angie.pipeline import COMMENT
@@ -96,7 +97,7 @@ def pair_motion(generator: AngieGenerator, codes: torch.Tensor, start: Motion) -
     first, frames = STILL_AROUND * FRAMES_PER_TOKEN, REPEATS * FRAMES_PER_TOKEN
     delta = generator.vq.decode(row[None])[0, first - 1 : first + frames]
     pattern = generator.channels.integrate(delta, start.vector()[0])
-    return generator._renderable(pattern, start.vector()[0])[1:]
+    return generator.renderable(pattern, start.vector()[0])[1:]
 
 
 def choose_pairs(generator: AngieGenerator, report: list[list[int]], count: int) -> list[CodePair]:
@@ -158,10 +159,10 @@ def code_sheet(
         check_output(path, force=force)
         if path.is_dir():
             raise BadInput(f"{path}: is a folder; name another file")
-    if bundle.preset.points or bundle.preset.vq.quant == "no_quant":
+    if bundle.preset.points or not bundle.settings(NAME).has_codes:
         raise BadInput(f"{bundle.folder}: a sheet needs regions and codes")
-    renderer, generator = bundle.renderer(), bundle.generator()
-    report = bundle.manifest["parts"]["vq"]["report"].get("pairs", [])
+    renderer, generator = bundle.renderer(), load_generator(bundle)
+    report = bundle.report(f"{NAME}.vq").get("pairs", [])
     pairs = choose_pairs(generator, report, count)
     squares = [_square(path, person) for path in photos]
     frames, ends = _draw(renderer, generator, squares, pairs)

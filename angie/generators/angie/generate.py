@@ -1,10 +1,9 @@
-"""Gesture generators: speech and a start pose in, region motion out."""
+"""ANGIE as a generator: codes from the GPT, motion from the decoders, refined by rhythm."""
 
-from dataclasses import dataclass, field
-from typing import Protocol
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
-from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
 from angie.generators.angie.codes import encode_whole
@@ -13,41 +12,17 @@ from angie.generators.angie.gpt import CoSpeechGPT
 from angie.generators.angie.refiner import Refiner
 from angie.generators.angie.sampling import Sampling, Window, continue_codes
 from angie.generators.angie.tokenizer import VQMotionExtractor
+from angie.generators.base import GestureGenerator
 from angie.motion.channels import Channels
 from angie.motion.drift import MODES, Anchors, activity, bounded, integrate_bounded, remove_mean
 from angie.motion.statistics import MotionStatistics
-from angie.motion.windows import BLENDS
-from data_prep.rates import FRAMES_PER_TOKEN, tokens_covering
+from angie.motion.windows import BLENDS, WINDOW
+from data_prep.errors import BadInput
+from data_prep.rates import FPS, FRAMES_PER_TOKEN, tokens_covering
 from data_prep.speech.features import Speech
 from mraa.motion import Motion, positive, render_floor
 
 DECODINGS = ("full", "chunked", "auto")
-
-
-class GestureGenerator(Protocol):
-    """What every gesture generator can do."""
-
-    def generate(
-        self,
-        speech: Speech,
-        start: Motion,
-        frames: int,
-        seed: int = 0,
-        speaker: str | None = None,
-    ) -> Motion:
-        """Gesture to speech.
-
-        Args:
-            speech: features of the whole recording, covering at least `frames` frames.
-            start: pose of the photo, one frame: shift (1, K, 2), cholesky (1, K, 3).
-            frames: number of frames T to make, 25 a second.
-            seed: everything random follows from it.
-            speaker: name of a speaker of the training set, or None for anyone.
-
-        Returns:
-            Motion of exactly T frames on the CPU; frame 1 is the start pose.
-        """
-        ...
 
 
 @dataclass(frozen=True)
@@ -64,8 +39,6 @@ class GenerationConfig:
             `angie.motion.windows.BLENDS`.
         refine: add the refiner's residuals.
         reanchor: where motion is bounded, fade toward a training pose in pauses.
-        smooth: standard deviation, in frames, of a Gaussian over time on the Cholesky factors;
-            0 leaves them.
     """
 
     sampling: Sampling = field(default_factory=Sampling)
@@ -75,7 +48,6 @@ class GenerationConfig:
     blend: str = "linear"
     refine: bool = True
     reanchor: bool = False
-    smooth: float = 0.0
 
     def __post_init__(self) -> None:
         if self.bounding not in MODES:
@@ -84,8 +56,6 @@ class GenerationConfig:
             raise ValueError(f"decode is one of {', '.join(DECODINGS)}, not {self.decode!r}")
         if self.blend not in BLENDS:
             raise ValueError(f"blend is one of {', '.join(BLENDS)}, not {self.blend!r}")
-        if self.smooth < 0:
-            raise ValueError("smooth is a number of frames, 0 for none")
 
 
 def voiced_tokens(onset: Tensor) -> Tensor:
@@ -106,7 +76,7 @@ def voiced_tokens(onset: Tensor) -> Tensor:
 
 
 @dataclass
-class AngieGenerator:
+class AngieGenerator(GestureGenerator):
     """ANGIE (NeurIPS 2022): codes from the GPT, deltas from the decoders, refined by rhythm.
 
     Attributes:
@@ -125,15 +95,25 @@ class AngieGenerator:
     chunked: bool = False
     """What `decode="auto"` means for these parts."""
 
+    fps = FPS
+    features = ("onset", "mfcc")
+    lookahead = None
+    """The beat tracker and the refiner look ahead, and what counts as silence is of the whole."""
+
+    @property
+    def random(self) -> bool:
+        """Whether the settings say that codes are drawn."""
+        return self.gpt is not None and self.config.sampling.method != "greedy"
+
     def __post_init__(self) -> None:
         regions = {
             self.vq.config.regions,
             self.refiner.config.regions,
             self.statistics.regions,
         }
-        alone = isinstance(self.vq, DirectMotion)
-        if self.gpt is None or alone:
-            fit = alone and self.gpt is None
+        direct = isinstance(self.vq, DirectMotion)
+        if self.gpt is None or direct:
+            fit = direct and self.gpt is None
         else:
             sizes, codes = self.gpt.config, self.vq.config
             fit = (sizes.codes, sizes.streams) == (codes.codes, codes.streams)
@@ -150,29 +130,43 @@ class AngieGenerator:
         speech: Speech,
         start: Motion,
         frames: int,
+        *,
         seed: int = 0,
         speaker: str | None = None,
+        style: str | Tensor | None = None,
+        seed_motion: Motion | None = None,
+        controls: Any = None,
+        greedy: bool | None = False,
         start_codes: Tensor | None = None,
-        style: str | None = None,
     ) -> Motion:
-        """Gesture to speech; see `GestureGenerator.generate`.
+        """Gesture to speech; see `GestureGenerator.generate` for what is not named here.
 
         Args:
             speech: features of the whole recording.
             start: pose of the photo, one frame.
             frames: number of frames T to make.
-            seed: of the sampling; the same seed gives the same motion on one device.
+            seed: of the sampling.
             speaker: a speaker of the training set who gestures: in their style, and in long
                 motion around their rest pose; None takes the start pose for rest.
-            start_codes: (2, P) codes to begin with, such as those of a seed motion; None begins
-                still.
             style: a speaker of the training set whose style alone is taken; None takes that of
                 `speaker`. Joint models alone tell styles apart.
+            seed_motion: the first pair of codes of it begins the motion (the protocol of the
+                papers' tables); None begins still.
+            controls: there are none.
+            greedy: always the likeliest code; False draws it from the likeliest ones.
+            start_codes: (streams, P) codes to begin with in place of those of `seed_motion`.
 
         Raises:
             ValueError: speech of fewer than `frames` frames, or a start pose of other regions.
             BadInput: an unknown speaker or style.
         """
+        if controls is not None:
+            raise ValueError("this generator has no controls")
+        if isinstance(style, Tensor):
+            raise BadInput("--style: this generator knows styles by the names of speakers only")
+        if start_codes is None and seed_motion is not None:
+            codes = self.codes_of(seed_motion[:WINDOW])
+            start_codes = None if codes is None else codes[:, :1]
         tokens = tokens_covering(frames)
         if not 1 <= frames <= speech.frames:
             raise ValueError(f"{frames} frames need as many of speech, not {speech.frames}")
@@ -187,10 +181,11 @@ class AngieGenerator:
             sound = self.statistics.standard_onset(onset)
             delta = self.vq.predict(sound, who, self.config.blend)
         else:
-            delta = self._decode(self._codes(onset, seed, start_codes, who))
+            codes = self._codes(onset, seed, start_codes, who, self._sampling(greedy))
+            delta = self._decode(codes)
         pattern = self._integrate(delta[:frames], first, speaker)
         motion = pattern + self._residual(mfcc, pattern) if self.config.refine else pattern
-        return self._renderable(motion, first)
+        return self.renderable(motion, first)
 
     @torch.no_grad()
     def codes_of(self, motion: Motion) -> Tensor | None:
@@ -210,8 +205,31 @@ class AngieGenerator:
             return None
         return encode_whole(self.vq, motion.vector(), self.channels)
 
+    def reconstruct(self, speech: Speech, motion: Motion, speaker: str | None = None) -> Motion:
+        """Recorded motion through its own codes: encoded, decoded, refined.
+
+        Nothing is drawn and nothing bounded; it is what the image scores of the paper's Table 3
+        are of. Without codes it is what the sound gives.
+        """
+        whole = replace(self, config=replace(self.config, bounding="off"))
+        codes = self.codes_of(motion)
+        return whole.generate(
+            speech, motion[:1], motion.frames, speaker=speaker, greedy=None, start_codes=codes
+        )
+
+    def _sampling(self, greedy: bool | None) -> Sampling:
+        """How codes are chosen; None leaves the settings as they are."""
+        if greedy is None:
+            return self.config.sampling
+        return replace(self.config.sampling, method="greedy" if greedy else "topk")
+
     def _codes(
-        self, onset: Tensor, seed: int, start_codes: Tensor | None, speaker: int | None = None
+        self,
+        onset: Tensor,
+        seed: int,
+        start_codes: Tensor | None,
+        speaker: int | None = None,
+        sampling: Sampling | None = None,
     ) -> Tensor:
         """Codes (streams, S) of raw onset features (S, 426)."""
         assert isinstance(self.vq, VQMotionExtractor) and self.gpt is not None
@@ -221,7 +239,7 @@ class AngieGenerator:
             self.gpt,
             begin,
             self.statistics.standard_onset(onset),
-            self.config.sampling,
+            sampling or self.config.sampling,
             torch.Generator().manual_seed(seed),
             voiced=voiced_tokens(onset),
             window=self.config.window,
@@ -267,16 +285,10 @@ class AngieGenerator:
         place = torch.arange(len(residual), dtype=torch.float32)
         return residual * scale * (place / FRAMES_PER_TOKEN).clamp_max(1)[:, None]
 
-    def _renderable(self, motion: Tensor, start: Tensor) -> Motion:
+    def renderable(self, motion: Tensor, start: Tensor) -> Motion:
         """Positive factors within the render floor; frame 1 is the start pose."""
-        pose, made = self._motion(start[None]), self._motion(motion)
-        if self.config.smooth and made.has_extent:
-            factors = gaussian_filter1d(
-                made.cholesky.numpy(), self.config.smooth, 0, mode="nearest"
-            )
-            made = Motion(made.shift, torch.from_numpy(factors))
-        statistics = self.statistics
-        fixed = positive(made)
+        pose, statistics = self._motion(start[None]), self.statistics
+        fixed = positive(self._motion(motion))
         fixed = render_floor(fixed, statistics.diagonal_low, statistics.diagonal_high, pose)
         vector = fixed.vector()
         vector[0] = start

@@ -5,12 +5,13 @@ Bailando: three blocks of tokens (sound, shift codes, Cholesky codes), in which 
 steps up to s of all three blocks.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from angie.layers.transformer import KeyValues, Layer, initialise
 from angie.motion.windows import WINDOW_TOKENS
 from data_prep.speech.features import ONSET_SIZE
 
@@ -39,8 +40,8 @@ class GPTConfig:
     layers: int = 12
     block: int = WINDOW_TOKENS - 1
     dropout: float = 0.1
-    streams: int = field(default=2, metadata={"later": True})
-    joint: bool = field(default=False, metadata={"later": True})
+    streams: int = 2
+    joint: bool = False
 
     def __post_init__(self) -> None:
         if self.streams not in (1, 2):
@@ -57,105 +58,6 @@ class GPTConfig:
     def blocks(self) -> int:
         """Blocks of tokens: the sound and each stream of codes."""
         return 1 + self.streams
-
-
-class KeyValues:
-    """Keys and values of the steps that a window holds so far, in every layer.
-
-    Valid while positions stay: when the window moves, every position changes and all of it has
-    to be computed again.
-
-    Args:
-        config: of the GPT.
-        batch: sequences B.
-        device: where it lies.
-    """
-
-    def __init__(self, config: GPTConfig, batch: int, device: torch.device) -> None:
-        size = config.width // config.heads
-        shape = (config.layers, 2, batch, config.heads, config.blocks * config.block, size)
-        self.values = torch.empty(shape, device=device)
-        self.blocks, self.block = config.blocks, config.block
-        self.steps = 0
-
-    @property
-    def full(self) -> bool:
-        """Whether the window has no room for another step."""
-        return self.steps == self.block
-
-    def extend(self, layer: int, key: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
-        """Add tokens (B, heads, n, D / heads) to a layer; all it holds, the new ones last."""
-        first = self.steps * self.blocks
-        last = first + key.shape[2]
-        keys, values = self.values[layer].unbind()
-        keys[:, :, first:last], values[:, :, first:last] = key, value
-        return keys[:, :, :last], values[:, :, :last]
-
-
-class CausalAttention(nn.Module):
-    """Self-attention over blocks of S steps, causal in the steps."""
-
-    def __init__(self, width: int, heads: int, dropout: float) -> None:
-        super().__init__()
-        self.heads, self.rate = heads, dropout
-        self.mix = nn.Linear(width, 3 * width)
-        self.out = nn.Linear(width, width)
-        self.dropout = nn.Dropout(dropout)
-
-    def forward(
-        self,
-        tokens: Tensor,
-        mask: Tensor | None,
-        cache: KeyValues | None = None,
-        layer: int = 0,
-        wanted: Tensor | None = None,
-    ) -> Tensor:
-        """Tokens (B, n, D) and mask (n, n), true where attention is allowed, None everywhere.
-
-        With a cache the tokens also see all that it holds of this layer, and join it. `wanted`
-        are the places (m,) of the tokens whose result (B, m, D) is needed; None is all.
-        """
-        query, key, value = (
-            part.unflatten(-1, (self.heads, -1)).transpose(1, 2)  # (B, heads, n, D / heads)
-            for part in self.mix(tokens).chunk(3, dim=-1)
-        )
-        if cache is not None:
-            key, value = cache.extend(layer, key, value)
-        if wanted is not None:
-            query, mask = query[:, :, wanted], None if mask is None else mask[wanted]
-        mixed = functional.scaled_dot_product_attention(
-            query, key, value, attn_mask=mask, dropout_p=self.rate if self.training else 0.0
-        )
-        return self.dropout(self.out(mixed.transpose(1, 2).flatten(-2)))
-
-
-class Layer(nn.Module):
-    """Pre-norm transformer layer."""
-
-    def __init__(self, width: int, heads: int, dropout: float) -> None:
-        super().__init__()
-        self.norm1 = nn.LayerNorm(width)
-        self.attention = CausalAttention(width, heads, dropout)
-        self.norm2 = nn.LayerNorm(width)
-        self.mlp = nn.Sequential(
-            nn.Linear(width, 4 * width),
-            nn.GELU(),
-            nn.Linear(4 * width, width),
-            nn.Dropout(dropout),
-        )
-
-    def forward(
-        self,
-        tokens: Tensor,
-        mask: Tensor | None,
-        cache: KeyValues | None = None,
-        layer: int = 0,
-        wanted: Tensor | None = None,
-    ) -> Tensor:
-        """Tokens (B, n, D) to the same shape, or to (B, m, D); see `CausalAttention`."""
-        mixed = self.attention(self.norm1(tokens), mask, cache, layer, wanted)
-        tokens = (tokens if wanted is None else tokens[:, wanted]) + mixed
-        return tokens + self.mlp(self.norm2(tokens))
 
 
 class CoSpeechGPT(nn.Module):
@@ -184,7 +86,7 @@ class CoSpeechGPT(nn.Module):
         if config.streams > 1:
             self.cholesky_head = nn.Linear(width, config.codes, bias=False)
         self.speaker = nn.Embedding(speakers + 1, width) if config.joint else None
-        self.apply(_initialise)
+        self.apply(initialise)
         nn.init.normal_(self.positions, std=0.02)
 
     def forward(self, codes: Tensor, onset: Tensor, speaker: Tensor | None = None) -> Tensor:
@@ -209,6 +111,12 @@ class CoSpeechGPT(nn.Module):
         for layer in self.layers:
             tokens = layer(tokens, mask)
         return self._logits(tokens.unflatten(1, (self.config.blocks, steps)))
+
+    def cache(self, batch: int) -> KeyValues:
+        """An empty window for `batch` sequences, for `advance`."""
+        c = self.config
+        size, device = c.width // c.heads, self.positions.device
+        return KeyValues(c.layers, batch, c.heads, c.blocks, c.block, size, device)
 
     @torch.no_grad()
     def advance(
@@ -289,10 +197,3 @@ class CoSpeechGPT(nn.Module):
             for stream in range(targets.shape[1])
         ]
         return torch.stack(losses).sum()
-
-
-def _initialise(module: nn.Module) -> None:
-    if isinstance(module, nn.Linear | nn.Embedding):
-        nn.init.normal_(module.weight, std=0.02)
-    if isinstance(module, nn.Linear) and module.bias is not None:
-        nn.init.zeros_(module.bias)

@@ -5,15 +5,13 @@ sound and predict residuals of shift and Cholesky factor, M = pattern + residual
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
 from angie.motion.windows import WINDOW, cross_fade
 from data_prep.speech.features import MFCC_COLUMNS, MFCC_ROWS
-
-MFCC_ENCODERS = ("linear", "conv")
 
 
 @dataclass(frozen=True)
@@ -27,7 +25,6 @@ class RefinerConfig:
         hidden: of the LSTM, per direction.
         layers: of the LSTM.
         dropout: between LSTM layers.
-        mfcc_encoder: "linear" (two linear layers) or "conv" (ATVGnet's five convolutions).
         streams: 2 are shift and Cholesky factor, 1 is shift alone (keypoints).
     """
 
@@ -37,13 +34,9 @@ class RefinerConfig:
     hidden: int = 256
     layers: int = 2
     dropout: float = 0.1
-    mfcc_encoder: str = field(default="linear", metadata={"later": True})
-    streams: int = field(default=2, metadata={"later": True})
+    streams: int = 2
 
     def __post_init__(self) -> None:
-        if self.mfcc_encoder not in MFCC_ENCODERS:
-            names = ", ".join(MFCC_ENCODERS)
-            raise ValueError(f"mfcc_encoder is one of {names}, not {self.mfcc_encoder!r}")
         if self.streams not in (1, 2):
             raise ValueError(f"there are 1 or 2 streams of motion, not {self.streams}")
         if min(self.regions, self.sound, self.motion, self.hidden, self.layers) < 1:
@@ -57,7 +50,7 @@ class RefinerConfig:
         return [2 * self.regions, 3 * self.regions][: self.streams]
 
 
-def linear_encoder(channels: int) -> nn.Sequential:
+def mfcc_encoder(channels: int) -> nn.Sequential:
     """MFCC windows (n, 28 * 12) to (n, channels) by two linear layers."""
     return nn.Sequential(
         nn.Linear(MFCC_ROWS * MFCC_COLUMNS, channels),
@@ -67,31 +60,12 @@ def linear_encoder(channels: int) -> nn.Sequential:
     )
 
 
-def conv_encoder(channels: int) -> nn.Sequential:
-    """MFCC windows (n, 28 * 12) to (n, channels) by ATVGnet's layers.
-
-    Five 3x3 convolutions of 64, 128, 256, 256 and 512 channels; after the second a maximum over
-    3x3 every (1, 2), after the last one over 3x3 every (2, 2): 28x12 becomes 12x2, and 12,288
-    numbers go through 2048 to the result.
-    """
-    layers: list[nn.Module] = [nn.Unflatten(-1, (1, MFCC_ROWS, MFCC_COLUMNS))]
-    width = 1
-    for place, wider in enumerate((64, 128, 256, 256, 512)):
-        layers += [nn.Conv2d(width, wider, 3, padding=1), nn.ReLU()]
-        if place in (1, 4):
-            layers.append(nn.MaxPool2d(3, stride=(1, 2) if place == 1 else (2, 2)))
-        width = wider
-    layers += [nn.Flatten(), nn.Linear(12 * 2 * width, 2048), nn.ReLU(), nn.Linear(2048, channels)]
-    return nn.Sequential(*layers)
-
-
 class StreamRefiner(nn.Module):
     """Residuals of one stream of C channels."""
 
     def __init__(self, channels: int, config: RefinerConfig) -> None:
         super().__init__()
-        encoders = {"linear": linear_encoder, "conv": conv_encoder}
-        self.sound = encoders[config.mfcc_encoder](config.sound)
+        self.sound = mfcc_encoder(config.sound)
         self.motion = nn.Linear(channels, config.motion)
         self.lstm = nn.LSTM(
             config.sound + config.motion,

@@ -1,9 +1,11 @@
-"""What is said of the motion parts in the bundle: how well they do on held-out clips.
+"""What is said of ANGIE's parts in the bundle: how well they do on held-out clips.
 
-How much the GPT hears: its cross-entropy against other sound's and an order-2 model's.
+How much the GPT depends on the sound: its cross-entropy against that with other sound, and
+against an order-2 model's.
 """
 
 from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -18,10 +20,13 @@ from angie.generators.angie.codes import (
     encode_windows,
     reconstruction,
 )
+from angie.generators.angie.generate import AngieGenerator
 from angie.generators.angie.gpt import CoSpeechGPT
 from angie.generators.angie.tokenizer import VQMotionExtractor
-from angie.generators.angie.train_gpt import code_windows, stream_entropies
+from angie.generators.angie.train import code_windows, stream_entropies
+from angie.generators.base import GestureGenerator
 from angie.motion.channels import Channels
+from angie.motion.clips import MotionClip
 from angie.motion.windows import MotionWindows
 
 WEIGHTS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
@@ -29,7 +34,7 @@ WEIGHTS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 
 
 @dataclass(frozen=True)
-class Hearing:
+class AudioSensitivity:
     """Cross-entropy of held-out codes in nats per code, each a value a stream.
 
     Attributes:
@@ -47,7 +52,9 @@ class Hearing:
         return {name: [round(v, 4) for v in values] for name, values in asdict(self).items()}
 
 
-def hearing(gpt: CoSpeechGPT, windows: MotionWindows, held_out: MotionWindows) -> Hearing | None:
+def audio_sensitivity(
+    gpt: CoSpeechGPT, windows: MotionWindows, held_out: MotionWindows
+) -> AudioSensitivity | None:
     """Measure on held-out windows with `onset` and `codes`.
 
     The mismatched sound of a window is that of the same speaker's window half of their windows
@@ -73,7 +80,7 @@ def hearing(gpt: CoSpeechGPT, windows: MotionWindows, held_out: MotionWindows) -
         for stream in range(sizes.streams)
     ]
     swapped = onset[torch.tensor([other[i] for i in apart])]
-    return Hearing(
+    return AudioSensitivity(
         stream_entropies(gpt, counted).tolist(),
         stream_entropies(gpt, counted, swapped).tolist(),
         order2,
@@ -169,9 +176,43 @@ def gpt_report(
     """Cross-entropy on held-out windows, against other sound's and an order-2 model's."""
     if held_out is None:
         return {}
-    heard = hearing(gpt, code_windows(vq, windows), code_windows(vq, held_out))
-    return {} if heard is None else {"hearing": heard.as_dict()}
+    found = audio_sensitivity(gpt, code_windows(vq, windows), code_windows(vq, held_out))
+    return {} if found is None else {"audio_sensitivity": found.as_dict()}
 
 
 def _rounded(scores: dict[str, float]) -> dict[str, float]:
     return {name: round(value, 4) for name, value in scores.items()}
+
+
+def in_words(stage: str, report: dict[str, Any], settings: Any) -> list[str]:
+    """What `angie info` says of a part: how well codes give motion back, how sound counts."""
+    words = []
+    if "held_out" in report:
+        score = report["held_out"]
+        words.append(
+            f"held-out shifts correlate {score['correlation']:.3f}, "
+            f"perplexity {score['shift_perplexity']:.0f} of {settings.vq.codes} codes"
+        )
+    if "audio_sensitivity" in report:
+        scores = report["audio_sensitivity"]
+        right, other = (sum(scores[name]) for name in ("right", "mismatched"))
+        words.append(f"held-out cross-entropy {right:.2f} nats, {other:.2f} with other sound")
+    return words
+
+
+@torch.no_grad()
+def broken_share(generator: GestureGenerator, clips: Sequence[MotionClip]) -> float:
+    """Share of the frames of clips, through their own codes, with a C that is no covariance.
+
+    Summed changes of C need not be positive definite; summed Cholesky factors always are.
+    """
+    assert isinstance(generator, AngieGenerator)
+    broken, frames = 0, 0
+    for clip in clips:
+        codes = generator.codes_of(clip.motion)
+        if codes is not None and isinstance(generator.vq, VQMotionExtractor):
+            values = generator.vq.decode_whole(codes)[: clip.motion.frames]
+            found = generator.channels.broken(values, clip.motion[:1].vector()[0])
+            broken += int(found.sum())
+        frames += clip.motion.frames
+    return broken / max(frames, 1)

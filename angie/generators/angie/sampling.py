@@ -3,12 +3,12 @@
 A sequence of codes continued over any length of sound, one step at a time.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from angie.generators.angie.gpt import CoSpeechGPT, KeyValues
+from angie.generators.angie.gpt import CoSpeechGPT
 
 METHODS = ("greedy", "topk")
 
@@ -39,7 +39,7 @@ class Sampling:
     k: int = 20
     temperature: float = 1.0
     repeat_guard: bool = False
-    calm: bool = field(default=False, metadata={"later": True})
+    calm: bool = False
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -149,7 +149,7 @@ def continue_codes(
     codes = torch.empty(len(start), max(begin, steps), dtype=torch.int64)
     codes[:, :begin] = start
     who = None if speaker is None else torch.tensor([speaker], device=device)
-    cache = KeyValues(gpt.config, 1, device)
+    cache = gpt.cache(1)
     silent = 0
     first = max(0, begin - block)  # of the steps that are not in the cache
     for step in range(begin, steps):

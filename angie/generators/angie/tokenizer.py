@@ -5,7 +5,7 @@ Cholesky factor (3K channels): ANGIE (NeurIPS 2022), sections 3.2 and 3.3; the l
 Bailando's motion VQ-VAE. Deltas are in units of their training standard deviation.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -56,9 +56,9 @@ class VQConfig:
     update: str = "ema"
     decay: float = 0.99
     restart_below: float = 1.0
-    quant: str = field(default="full", metadata={"later": True})
-    streams: int = field(default=2, metadata={"later": True})
-    context: str = field(default="window", metadata={"later": True, "of": "gpt"})
+    quant: str = "full"
+    streams: int = 2
+    context: str = "window"
 
     def __post_init__(self) -> None:
         if self.quant not in QUANTS:
@@ -171,12 +171,12 @@ class VQMotionExtractor(nn.Module):
         )
 
     @torch.no_grad()
-    def begin(self, deltas: Tensor) -> None:
+    def init_codebook(self, deltas: Tensor) -> None:
         """Take the cluster centres of the latent vectors of deltas (n, T, 5K) as codebooks."""
         parts = deltas.split(self.config.channels, dim=-1)
         for stream, part in zip(self.streams, parts, strict=True):
             latent = [stream.encoder(some) for some in part.split(64)]
-            stream.codebook.begin(torch.cat(latent).flatten(0, 1))
+            stream.codebook.init_entries(torch.cat(latent).flatten(0, 1))
 
     def encode(self, deltas: Tensor) -> Tensor:
         """Codes (B, streams, T // 8) int64 of normalised deltas (B, T, 5K)."""

@@ -1,7 +1,6 @@
 """Training of the motion refiner on the patterns of a frozen VQ motion extractor."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -10,12 +9,11 @@ from angie.generators.angie.codes import patterns
 from angie.generators.angie.direct import DirectMotion
 from angie.generators.angie.refiner import Refiner, RefinerConfig
 from angie.generators.angie.tokenizer import VQMotionExtractor
+from angie.generators.angie.train import Begin
 from angie.motion.channels import Channels
 from angie.motion.windows import STRIDE, MotionWindows, check_stride
 from data_prep.rates import FRAMES_PER_TOKEN
-from mraa.motion import Motion
-from mraa.training.checkpoint import BestWeights, Schedule
-from mraa.training.run import Run, RunConfig
+from mraa.training.checkpoint import Schedule
 
 
 @dataclass(frozen=True)
@@ -26,7 +24,6 @@ class RefinerTraining:
         schedule: Adam 1e-4 with betas (0.9, 0.999), batch 32, 100 epochs.
         drifting: share of the windows that get a random linear drift to remove.
         checks: evenly spaced evaluations on the held-out windows.
-        covariance: weight of the mean absolute error of C = L L^T, in units of its mean size.
         stride: frames from one training window to the next, a multiple of 8.
         velocity: weight of the mean absolute error of the change from frame to frame, in which
             the rhythm is; not in the paper.
@@ -37,15 +34,14 @@ class RefinerTraining:
     )
     drifting: float = 0.5
     checks: int = 50
-    covariance: float = 0.0
     stride: int = STRIDE
     velocity: float = 0.0
 
     def __post_init__(self) -> None:
         if self.checks < 1 or not 0 <= self.drifting <= 1:
             raise ValueError("checks must be positive, drifting a share")
-        if min(self.covariance, self.velocity) < 0:
-            raise ValueError("covariance and velocity must not be negative")
+        if self.velocity < 0:
+            raise ValueError("velocity must not be negative")
         check_stride(self.stride, FRAMES_PER_TOKEN)
 
 
@@ -104,89 +100,59 @@ def whole_loss(
     residual: Tensor,
     pattern: Tensor,
     truth: Tensor,
-    scale: Tensor,
     shifts: int,
     training: RefinerTraining,
 ) -> Tensor:
-    """`refiner_loss` and what `training` adds to it, all in units of the pose scale (5K,)."""
+    """`refiner_loss` and what `training` adds to it, all in units of the pose scale."""
     loss = refiner_loss(residual, pattern, truth, shifts)
-    made = pattern + residual.float()
-    if training.covariance:
-        loss = loss + training.covariance * covariance_loss(made, truth, scale)
     if training.velocity:
-        loss = loss + training.velocity * (made - truth).diff(dim=1).abs().mean()
+        off = pattern + residual.float() - truth
+        loss = loss + training.velocity * off.diff(dim=1).abs().mean()
     return loss
 
 
-def covariance_loss(made: Tensor, truth: Tensor, scale: Tensor) -> Tensor:
-    """Mean absolute error of C = L L^T over the mean size of the true C.
-
-    Args:
-        made: (B, T, 5K) motion in units of `scale`.
-        truth: likewise.
-        scale: (5K,).
-    """
-    covariance, target = (Motion.from_vector(v.float() * scale).covariance() for v in (made, truth))
-    return (covariance - target).abs().mean() / target.abs().mean()
-
-
 def train_refiner(
-    folder: Path,
+    begin: Begin,
     vq: VQMotionExtractor | DirectMotion,
     windows: MotionWindows,
     held_out: MotionWindows | None,
     config: RefinerConfig,
     training: RefinerTraining,
-    *,
-    seed: int = 0,
-    run_config: RunConfig | None = None,
-    resume: bool = False,
 ) -> Refiner:
     """Train the refiner to lead patterns of true codes to the true motion.
 
     Args:
-        folder: where checkpoint and curves go.
+        begin: begins the run.
         vq: the trained extractor, frozen.
         windows: training windows.
         held_out: windows of other clips, to keep the weights that do best on them; or None.
         config: architecture.
         training: how to train.
-        seed: everything random follows from it.
-        run_config: device, precision and so on.
-        resume: go on from the checkpoint in `folder`.
 
     Returns:
         The trained refiner in evaluation mode.
     """
     schedule, items = training.schedule, len(windows)
-    steps = schedule.steps(items)
-    every = max(1, steps // training.checks)
-    run = Run(folder, "refiner", steps=steps, seed=seed, config=run_config, resume=resume)
+    run = begin(schedule.steps(items))
     vq = vq.to(run.device)
     windows = pattern_windows(vq, windows)
     held_out = None if held_out is None else pattern_windows(vq, held_out)
     refiner = Refiner(config)
-    best = BestWeights(refiner)
-    model, optimizer = run.setup(best, schedule.adam(refiner))
+    model = run.add("refiner", refiner, schedule.adam(refiner), schedule.milestone_steps(items))
     batches = run.batches(windows, schedule.batch)
     scale = windows.statistics.pose_scale.to(run.device)
     slopes = drift_slopes(windows).to(run.device)
-    model.train()
-    for step in run.steps():
-        run.rate(optimizer, schedule.rate, schedule.milestone_steps(items))
+    for _ in run.steps():
         batch = next(batches)
         truth = truth_of(batch, scale)
         pattern = add_drift(batch["pattern"], slopes, training.drifting)
         residual = model(batch["mfcc"], pattern)
-        loss = whole_loss(residual, pattern, truth, scale, config.channels[0], training)
-        run.backward(loss)
-        run.clip(model, optimizer, schedule.clip)
-        optimizer.step()
-        optimizer.zero_grad()
-        if held_out is not None and (step + 1) % every == 0:
-            best.consider(run.fabric.broadcast(held_out_loss(refiner, held_out, training)))
-        run.log(loss=loss, **best.scores())
-    best.restore()
+        loss = whole_loss(residual, pattern, truth, config.channels[0], training)
+        run.update(loss, "refiner", clip=schedule.clip)
+        if held_out is not None and run.due(training.checks):
+            run.keep_best(held_out_loss(refiner, held_out, training))
+        run.log(loss=loss)
+    run.restore_best()
     return refiner.eval().cpu()
 
 
@@ -205,7 +171,7 @@ def held_out_loss(
         pattern, truth = batch["pattern"].to(device), truth_of(batch, scale).to(device)
         residual = refiner(batch["mfcc"].to(device), pattern)
         split = refiner.config.channels[0]
-        loss = whole_loss(residual, pattern, truth, scale.to(device), split, training)
+        loss = whole_loss(residual, pattern, truth, split, training)
         total += float(loss) * len(pattern)
     refiner.train(learning)
     return total / len(windows)

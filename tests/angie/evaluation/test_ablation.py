@@ -13,15 +13,15 @@ from angie.cli import main
 from angie.config import parse_overrides, preset
 from angie.evaluation.ablation import (
     COLUMNS,
-    VARIANTS,
     _copy_motion,
     ablate,
-    broken_share,
     settings_of,
     table,
 )
 from angie.evaluation.networks import EvaluationConfig
 from angie.generators.angie.direct import DirectMotion
+from angie.generators.angie.report import broken_share
+from angie.generators.angie.variants import VARIANTS
 from data_prep.errors import BadInput
 from mraa.training.run import RunConfig
 
@@ -60,11 +60,18 @@ def test_every_variant_is_a_bundle_on_one_renderer(made, bundle):
     assert {one.hash_of("renderer") for one in bundles.values()} == {bundle.hash_of("renderer")}
     direct = bundles["no_quant"].generator()
     assert isinstance(direct.vq, DirectMotion) and direct.gpt is None
-    assert bundles["no_quant"].parts == ["renderer", "statistics", "vq", "refiner", "avd"]
+    assert bundles["no_quant"].parts == [
+        "renderer",
+        "statistics",
+        "angie.vq",
+        "angie.refiner",
+        "avd",
+    ]
     assert bundles["no_cholesky"].generator().channels.covariance
     plain, full = bundles["no_refine"], Bundle.open(output / "full")
-    assert not plain.preset.generation.refine and full.preset.generation.refine
-    assert all(plain.hash_of(part) == full.hash_of(part) for part in ("vq", "gpt", "refiner"))
+    assert not plain.settings("angie").generation.refine
+    assert full.settings("angie").generation.refine
+    assert all(plain.hash_of(part) == full.hash_of(part) for part in full.needed())
 
 
 def test_the_table_has_a_row_for_each_and_those_of_reference(made):
@@ -157,9 +164,9 @@ def test_summed_covariances_break_and_factors_do_not(made, dataset):
 
     variant, full = Bundle.open(output / "no_cholesky"), Bundle.open(output / "full")
     clips = open_space(dataset, full, output / "scratch", "cpu").test
-    assert broken_share(full, clips) == 0
+    assert broken_share(full.generator(), clips) == 0
     generator = variant.generator()
-    assert 0 <= broken_share(variant, clips) <= 1
+    assert 0 <= broken_share(variant.generator(), clips) <= 1
     wild = torch.randn(50, 5 * generator.statistics.regions) * 50
     start = clips[0].motion[:1].vector()[0]
     assert generator.channels.broken(wild, start).any()
@@ -206,7 +213,7 @@ def test_regions_are_measured_once_for_all_variants(tmp_path):
 def test_a_variant_is_one_setting():
     base = preset("paper")
     for name in VARIANTS:
-        made = settings_of(base, name)
+        made = settings_of(base, name).settings("angie")
         assert (made.vq.quant, made.generation.refine) == (
             ("full", False) if name == "no_refine" else (name, True)
         )
@@ -234,7 +241,7 @@ def test_the_table_of_hand_made_numbers():
             }
         ],
     }
-    assert table(numbers, {"full": 0.25}).splitlines() == [
+    assert table(numbers, {"C broken": {"full": 0.25}}).splitlines() == [
         "|  | FGD | BC | DIVERSITY_HA2G | L1 | PERCEPTUAL | AED | L1_DRAWN | PERCEPTUAL_DRAWN | "
         "C broken |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",

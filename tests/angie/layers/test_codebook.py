@@ -171,7 +171,7 @@ def test_a_codebook_begun_with_clusters_uses_them():
     torch.manual_seed(0)
     codebook = Codebook(4, 2, restart_below=0.1)
     values = torch.tensor([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0], [9.0, 9.0]])
-    codebook.begin(values)
+    codebook.init_entries(values)
     assert bool(codebook.initialised) and torch.equal(codebook.counts, torch.ones(4))
     assert sorted(codebook.entries.tolist()) == sorted(values.tolist())
     codebook.train()(values[None])  # moving averages of the entries themselves stay there
@@ -181,5 +181,5 @@ def test_a_codebook_begun_with_clusters_uses_them():
 def test_fewer_vectors_than_entries_can_begin_a_codebook():
     torch.manual_seed(0)
     codebook = Codebook(8, 2)
-    codebook.begin(torch.tensor([[0.0, 0.0], [9.0, 0.0]]))
+    codebook.init_entries(torch.tensor([[0.0, 0.0], [9.0, 0.0]]))
     assert torch.isfinite(codebook.entries).all() and codebook.counts.sum() == 8

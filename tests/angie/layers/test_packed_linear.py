@@ -2,7 +2,7 @@ import pytest
 import torch
 from torch import nn
 
-from angie.generators.angie.gpt import CoSpeechGPT, GPTConfig, KeyValues
+from angie.generators.angie.gpt import CoSpeechGPT, GPTConfig
 from angie.layers import packed_linear as packing
 from angie.layers.packed_linear import PackedLinear, can_pack, pack, product_type
 
@@ -21,7 +21,7 @@ def test_packed_layers_compute_the_same(monkeypatch):
     assert isinstance(gpt.layers[0].mlp[1], nn.Identity)
     assert isinstance(gpt.sound, nn.Linear)  # too small
     assert torch.allclose(gpt(codes, onset), whole, atol=1e-4)
-    cache = KeyValues(gpt.config, 2, torch.device("cpu"))
+    cache = gpt.cache(2)
     for step in range(5):
         logits = gpt.advance(codes[..., step : step + 1], onset[:, step : step + 1], cache)
         assert torch.allclose(logits, whole[:, :, step], atol=1e-4)

@@ -1,10 +1,10 @@
 """Joints in place of regions: a dataset of arrays trained and generated end to end."""
 
 import contextlib
-import dataclasses
 import json
 import shutil
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +12,9 @@ from lightning_fabric import Fabric
 
 from angie.bundle import BUNDLE, Bundle
 from angie.cli import main
+from angie.config import override
+from angie.generators.angie.family import FAMILY
+from angie.generators.stages import StageContext
 from angie.motion.keypoints import KeypointDataset, read_points, read_rate, resample
 from angie.summary import describe
 from angie.training import Trainer
@@ -119,10 +122,15 @@ def test_resampling_keeps_smooth_motion():
 
 def test_a_model_of_joints_has_no_renderer_and_one_stream(model):
     bundle = Bundle.open(model)
-    assert list(bundle.manifest["parts"]) == ["statistics", "vq", "gpt", "refiner"]
-    assert bundle.preset.points and bundle.preset.vq.regions == JOINTS
+    assert list(bundle.manifest["parts"]) == [
+        "statistics",
+        "angie.vq",
+        "angie.gpt",
+        "angie.refiner",
+    ]
+    assert bundle.preset.points and bundle.settings("angie").vq.regions == JOINTS
     assert "3 joints" in describe(bundle) and "renderer" not in describe(bundle)
-    report = bundle.manifest["parts"]["vq"]["report"]
+    report = bundle.report("angie.vq")
     assert report["training"]["shift_perplexity"] >= 1
     assert all(len(pair) == 2 for pair in report["pairs"])
 
@@ -342,14 +350,22 @@ def test_an_unreadable_recording_leaves_no_bundle(data, tmp_path, capsys):
     assert not (tmp_path / "model").exists()
 
 
-def test_other_grids_are_another_training_of_the_gpt_alone(model, data, tmp_path):
+def context_of(model, data, cache, stage, **changes):
+    """What a stage of angie is given, with some settings of its training of the GPT changed."""
     bundle = Bundle.open(model)
-    joints = KeypointDataset(data, tmp_path / "cache")
-    trainer = Trainer(joints, bundle, 0, RunConfig(), False, Fabric(accelerator="cpu"))
-    before = [trainer.how(part).identity for part in ("vq", "gpt", "refiner")]
-    training = dataclasses.replace(bundle.preset.train_gpt, grids=4)
-    bundle.preset = dataclasses.replace(bundle.preset, train_gpt=training)
-    after = [trainer.how(part).identity for part in ("vq", "gpt", "refiner")]
+    bundle.preset = override(bundle.preset, {"train_gpt": changes} if changes else {})
+    trainer = Trainer(
+        KeypointDataset(data, cache), bundle, 0, RunConfig(), False, Fabric(accelerator="cpu")
+    )
+    return trainer.context(FAMILY, FAMILY.stage(stage))
+
+
+def test_other_grids_are_another_training_of_the_gpt_alone(model, data, tmp_path):
+    stages = ("vq", "gpt", "refiner")
+    before, after = (
+        [context_of(model, data, tmp_path, stage, **changes).run.identity for stage in stages]
+        for changes in ({}, {"grids": 4})
+    )
     assert [a == b for a, b in zip(before, after, strict=True)] == [True, False, True]
 
 
@@ -357,24 +373,19 @@ def test_the_gpt_and_what_stands_in_its_place_learn_on_the_grids_asked_for(
     model, data, tmp_path, monkeypatch
 ):
     asked = []
-    trainer = Trainer(
-        KeypointDataset(data, tmp_path), Bundle.open(model), 0, RunConfig(), False,
-        Fabric(accelerator="cpu"),
-    )  # fmt: skip
 
-    def windows(stride, grids=1):
+    def windows(self, stride, grids=1):
         asked.append((stride, grids))
         raise InterruptedError
 
-    monkeypatch.setattr(trainer, "windows", windows)
-    base = trainer.bundle.preset
-    training = dataclasses.replace(base.train_gpt, grids=4, stride=16)
+    monkeypatch.setattr(StageContext, "windows", windows)
     for quant, stage in (("full", "gpt"), ("full", "vq"), ("no_quant", "vq")):
-        vq = dataclasses.replace(base.vq, quant=quant)
-        trainer.bundle.preset = dataclasses.replace(base, vq=vq, train_gpt=training)
+        context = context_of(model, data, tmp_path, stage, grids=4, stride=16)
+        settings = context.settings
+        context.settings = replace(settings, vq=replace(settings.vq, quant=quant))
         with pytest.raises(InterruptedError):
-            getattr(trainer, stage)()
-    assert asked == [(16, 4), (base.train_vq.stride, 1), (16, 4)]
+            FAMILY.stage(stage).train(context)
+    assert asked == [(16, 4), (settings.train_vq.stride, 1), (16, 4)]
 
 
 def test_the_recording_of_a_clip_is_the_one_of_its_name(data, tmp_path):
@@ -395,11 +406,8 @@ def test_the_recording_of_a_clip_is_the_one_of_its_name(data, tmp_path):
 
 def test_weights_are_chosen_by_the_validation_split_where_there_is_one(model, data, tmp_path):
     def names(folder, grids=1):
-        joints = KeypointDataset(folder, tmp_path / "cache")
-        trainer = Trainer(
-            joints, Bundle.open(model), 0, RunConfig(), False, Fabric(accelerator="cpu")
-        )
-        return [[clip.name for clip in windows.clips] for windows in trainer.windows(32, grids)]
+        context = context_of(model, folder, tmp_path / "cache", "gpt")
+        return [[clip.name for clip in windows.clips] for windows in context.windows(32, grids)]
 
     learnt, kept = names(data, grids=2)
     assert learnt == [*(f"c{n}" for n in range(9)), *(f"c{n}+4" for n in range(9))]

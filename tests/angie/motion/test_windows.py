@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from angie.generators.angie.train_gpt import GPTTraining
+from angie.generators.angie.train import GPTTraining, VQTraining
 from angie.generators.angie.train_refiner import RefinerTraining
-from angie.generators.angie.train_vq import VQTraining
 from angie.motion.clips import begun_later
 from angie.motion.windows import MotionWindows, other_grids
 from data_prep.errors import BadInput
 from data_prep.speech.features import Speech, onset_rows
-from mraa.motion import Motion
 
 PARTS = ("poses", "onset", "mfcc")
 
@@ -57,27 +55,6 @@ def test_more_motion_than_sound_is_bad_input(make_clip):
     long, short = make_clip(100, 0), make_clip(90, 1)
     with pytest.raises(BadInput, match="ada_0: 100 frames of motion but 90"):
         type(long)(long.name, long.speaker, long.motion, short.speech)
-
-
-def test_still_windows_are_thinned_out(make_clip, statistics):
-    moving = [make_clip(250, seed) for seed in range(4)]
-    clip = make_clip(250, 9)
-    still = dataclasses.replace(
-        clip, name="still", motion=Motion(*(v[:1].repeat(250, 1, 1) for v in _parts(clip.motion)))
-    )
-    windows = MotionWindows([*moving, *[still] * 6], statistics)
-    active = [place for place in windows.places if windows._activity(*place) >= 0.1]
-    for share in (0.1, 0.25):
-        kept = windows.thinned(share)
-        assert [place for place in kept.places if windows._activity(*place) >= 0.1] == active
-        rest = len(kept) - len(active)
-        assert share - 0.1 < rest / len(kept) <= share
-    assert windows.thinned(1.0) is windows
-    assert len(windows.thinned(0.1).choose(["onset"])) == len(windows.thinned(0.1))
-
-
-def _parts(motion):
-    return motion.shift, motion.cholesky
 
 
 def test_other_grids_begin_clips_later(make_clip):

@@ -78,10 +78,13 @@ def test_the_global_random_state_plays_no_part(generator, speech, start):
 
 
 def test_greedy_follows_the_sound(generator, speech, start, make_clip):
+    one = generator.generate(speech, start, 200, seed=1, greedy=True).vector()
+    assert torch.equal(one, generator.generate(speech, start, 200, seed=2, greedy=True).vector())
     greedy = configured(generator, sampling=Sampling(method="greedy"))
-    one = greedy.generate(speech, start, 200, seed=1).vector()
-    assert torch.equal(one, greedy.generate(speech, start, 200, seed=2).vector())
-    other = greedy.generate(make_clip(275, 8).speech, start, 200).vector()
+    assert torch.equal(one, greedy.generate(speech, start, 200, greedy=None).vector())
+    assert not torch.equal(one, greedy.generate(speech, start, 200).vector())  # sampled if asked
+    assert generator.random and not greedy.random
+    other = generator.generate(make_clip(275, 8).speech, start, 200, greedy=True).vector()
     assert not torch.allclose(one, other)
 
 
@@ -198,8 +201,8 @@ def test_the_blend_reaches_decoder_and_refiner(generator, speech, start, monkeyp
         asked.append(blend)
         return torch.zeros(frames, 20)
 
-    for module in ("vq", "refiner"):
-        monkeypatch.setattr(f"angie.{module}.cross_fade", blended)
+    for module in ("tokenizer", "refiner"):
+        monkeypatch.setattr(f"angie.generators.angie.{module}.cross_fade", blended)
     configured(generator, decode="chunked", blend="hann").generate(speech, start, 200)
     assert asked == ["hann", "hann"]
     with pytest.raises(ValueError, match="blend is one of linear, hann, not 'Hann'"):
@@ -249,22 +252,37 @@ def test_codes_of_a_clip_begin_the_motion(generator, speech, start, make_clip):
     assert generator.codes_of(clip[:7]).shape == (2, 1)
 
 
+def test_a_seed_motion_gives_its_first_pair_of_codes(generator, speech, start, make_clip):
+    clip = make_clip(275, 5).motion
+    first = generator.codes_of(clip[:96])[:, :1]
+    begun = generator.generate(speech, start, 96, seed_motion=clip).vector()
+    assert torch.equal(begun, generator.generate(speech, start, 96, start_codes=first).vector())
+    assert not torch.equal(begun, generator.generate(speech, start, 96).vector())
+
+
+def test_a_clip_is_reconstructed_through_all_its_codes(generator, make_clip):
+    clip = make_clip(275, 5)
+    made = configured(generator, bounding="on").reconstruct(clip.speech, clip.motion)
+    codes = generator.codes_of(clip.motion)
+    plain = generator.generate(clip.speech, clip.motion[:1], 275, start_codes=codes)
+    assert torch.equal(made.vector(), plain.vector())
+
+
+def test_what_the_generator_does_not_have_is_refused(generator, speech, start):
+    with pytest.raises(ValueError, match="no controls"):
+        generator.generate(speech, start, 8, controls=object())
+    with pytest.raises(BadInput, match="names of speakers only"):
+        generator.generate(speech, start, 8, style=torch.ones(2))
+    with pytest.raises(NotImplementedError, match="whole recording at once"):
+        generator.stream(start)
+
+
 def test_auto_decodes_as_training_found_better(generator, speech, start):
     auto = configured(generator, decode="auto")
     for chunked, name in ((False, "full"), (True, "chunked")):
         made = dataclasses.replace(auto, chunked=chunked).generate(speech, start, 275)
         expected = configured(generator, decode=name).generate(speech, start, 275)
         assert torch.equal(made.vector(), expected.vector())
-
-
-def test_smoothing_calms_the_factors_alone(generator, speech, start):
-    plain = generator.generate(speech, start, 200)
-    smooth = configured(generator, smooth=2.0).generate(speech, start, 200)
-    assert torch.equal(smooth.shift, plain.shift)
-    rough, calm = (m.cholesky[2:].diff(n=2, dim=0).abs().mean() for m in (plain, smooth))
-    assert calm < 0.5 * rough
-    with pytest.raises(ValueError, match="smooth"):
-        GenerationConfig(smooth=-1.0)
 
 
 def test_reanchored_motion_differs_only_after_a_pause(generator, start):

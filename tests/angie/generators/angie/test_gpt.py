@@ -3,7 +3,7 @@ import dataclasses
 import pytest
 import torch
 
-from angie.generators.angie.gpt import CoSpeechGPT, GPTConfig, KeyValues
+from angie.generators.angie.gpt import CoSpeechGPT, GPTConfig
 from angie.generators.angie.sampling import Sampling, Window, continue_codes, draw, stuck
 
 TINY = GPTConfig(codes=16, onset=10, width=24, heads=3, layers=3, block=5, dropout=0.1)
@@ -82,7 +82,7 @@ def test_beyond_the_block_the_last_codes_and_their_sound_are_seen(gpt):
 
 def test_step_by_step_with_the_cache_equals_the_whole_window(gpt, codes, onset):
     whole = gpt(codes, onset)
-    cache = KeyValues(gpt.config, 2, torch.device("cpu"))
+    cache = gpt.cache(2)
     for step in range(5):
         now = slice(step, step + 1)
         assert not cache.full
@@ -95,7 +95,7 @@ def test_step_by_step_with_the_cache_equals_the_whole_window(gpt, codes, onset):
 
 def test_a_window_that_begins_with_several_steps_goes_on_one_by_one(gpt, codes, onset):
     whole = gpt(codes, onset)
-    cache = KeyValues(gpt.config, 2, torch.device("cpu"))
+    cache = gpt.cache(2)
     logits = gpt.advance(codes[..., :3], onset[:, :3], cache)
     assert torch.allclose(logits, whole[:, :, 2], atol=1e-5)
     for step in (3, 4):

@@ -1,6 +1,5 @@
 import dataclasses
 
-import pytest
 import torch
 
 from angie.generators.angie.refiner import Refiner, RefinerConfig
@@ -74,21 +73,6 @@ def test_sizes_of_the_default():
     assert refiner.shift.out.weight.shape == (40, 512)
     assert refiner.cholesky.out.weight.shape == (60, 512)
     assert refiner.shift.lstm.weight_ih_l0.shape == (1024, 384)
-
-
-def test_the_convolutions_of_atvgnet():
-    torch.manual_seed(0)
-    refiner = Refiner(dataclasses.replace(TINY, mfcc_encoder="conv"))
-    sizes = [tuple(p.shape) for name, p in refiner.shift.sound.named_parameters() if p.ndim > 1]
-    widths = [(64, 1), (128, 64), (256, 128), (256, 256), (512, 256)]
-    assert sizes == [(*pair, 3, 3) for pair in widths] + [(2048, 12_288), (8, 2048)]
-    torch.nn.init.normal_(refiner.shift.out.weight)
-    mfcc, pattern = torch.randn(1, 3, 28, 12), torch.randn(1, 3, 20)
-    residual = refiner(mfcc, pattern)
-    assert residual.shape == (1, 3, 20)
-    assert not torch.allclose(refiner(mfcc + 1, pattern), residual)
-    with pytest.raises(ValueError, match="linear, conv"):
-        RefinerConfig(mfcc_encoder="deep")
 
 
 def test_one_stream_alone():

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from angie.generators.angie.gpt import CoSpeechGPT, GPTConfig
-from angie.generators.angie.report import far_windows, hearing, order2_entropy
+from angie.generators.angie.report import audio_sensitivity, far_windows, order2_entropy
 from angie.motion.windows import MotionWindows
 
 
@@ -36,7 +36,7 @@ def coded(windows: MotionWindows, seed: int) -> MotionWindows:
 def test_a_gpt_that_knows_nothing_hears_nothing(clips, statistics):
     windows, held_out = MotionWindows(clips[:8], statistics), MotionWindows(clips[8:], statistics)
     gpt = CoSpeechGPT(GPTConfig(codes=8, width=16, heads=2, layers=1)).eval()
-    result = hearing(gpt, coded(windows, 0), coded(held_out, 1))
+    result = audio_sensitivity(gpt, coded(windows, 0), coded(held_out, 1))
     assert result is not None
     for values in (result.right, result.mismatched, result.order2):
         assert len(values) == 2
@@ -47,7 +47,7 @@ def test_a_gpt_that_knows_nothing_hears_nothing(clips, statistics):
 def test_without_another_clip_there_is_no_result(clips, statistics):
     windows = coded(MotionWindows(clips[:1], statistics), 0)
     gpt = CoSpeechGPT(GPTConfig(codes=8, width=16, heads=2, layers=1)).eval()
-    assert hearing(gpt, windows, windows) is None
+    assert audio_sensitivity(gpt, windows, windows) is None
 
 
 def test_mismatched_sound_is_of_the_same_speaker(clips, statistics):
