@@ -9,7 +9,8 @@ from angie.generators.angie.train_refiner import RefinerTraining
 from angie.motion.clips import begun_later
 from angie.motion.windows import MotionWindows, other_grids
 from data_prep.errors import BadInput
-from data_prep.speech.features import Speech, onset_rows
+from data_prep.speech.features import Speech
+from data_prep.speech.spectra import onset_rows
 
 PARTS = ("poses", "onset", "mfcc")
 

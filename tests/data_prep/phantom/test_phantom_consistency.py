@@ -9,7 +9,7 @@ from data_prep.phantom.make import Take, take
 from data_prep.phantom.skeleton import ACTIVE, JOINTS
 from data_prep.rates import FPS, SAMPLE_RATE
 from data_prep.speech import synchrony
-from data_prep.speech.features import onset_times
+from data_prep.speech.spectra import onset_times
 
 
 def test_beat_consistency_by_hand() -> None:
