@@ -1,7 +1,7 @@
 """`angie evaluate`: the tables of the papers on a dataset."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -33,8 +33,13 @@ def evaluate(
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of what is random.")] = 1,
     seed: Seed = 0,
+    generator: Annotated[
+        str | None,
+        typer.Option(help="Score this generator of each bundle; without it all that it has."),
+    ] = None,
     start: Annotated[
-        str, typer.Option(help="First codes: truth (the clip's own first pair) or pose (still).")
+        str,
+        typer.Option(help="Begin with the clip's own motion (truth) or still, as a photo (pose)."),
     ] = "truth",
     no_images: Annotated[
         bool, typer.Option("--no-images", help="Render nothing: motion scores alone.")
@@ -111,6 +116,7 @@ def evaluate(
             raise BadInput("--reference and --bundle go with --videos; name DATASET BUNDLE...")
         if detected is not None:
             raise BadInput("--detected goes with --videos")
+        chosen: Any = {"generator": generator, "force": force}
         if not places or len(places) < 2:
             raise BadInput("give a dataset and one or more speaker bundles: DATASET BUNDLE...")
         from angie.evaluation.evaluate import evaluate as run
@@ -120,13 +126,15 @@ def evaluate(
         if (places[0] / INDEX).is_file():
             if truth is not None:
                 raise BadInput("--truth goes with a dataset of videos")
-            numbers = evaluate_joints(places[0], places[1:], output, config, force=force)
+            numbers = evaluate_joints(places[0], places[1:], output, config, **chosen)
         else:
             place = device_of(device)
-            numbers = run(places[0], places[1:], output, config, device=place, force=force)
+            numbers = run(places[0], places[1:], output, config, device=place, **chosen)
     else:
         if places:
             raise BadInput("--videos: takes no DATASET BUNDLE...; name --reference and --bundle")
+        if generator is not None:
+            raise BadInput("--generator goes with DATASET BUNDLE...")
         if reference is None:
             raise BadInput("--videos: name the dataset to compare with, --reference DATASET")
         from angie.bundle import BUNDLE

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from angie import __version__
 from angie.bundle import Bundle
 from angie.evaluation import report
-from angie.evaluation.images import TRUE_REGIONS, Driver, FrameJudge, score_pictures
+from angie.evaluation.images import Driver, FrameJudge, score_pictures
 from angie.evaluation.joints import true_joints
 from angie.evaluation.networks import (
     EvaluationConfig,
@@ -21,18 +21,17 @@ from angie.evaluation.networks import (
     stored_autoencoder,
 )
 from angie.evaluation.rows import (
-    REFERENCES,
+    TRUE_REGIONS,
     Row,
+    System,
+    baselines,
     generated,
-    ground_truth,
-    mismatched,
-    motionless,
-    nearest_audio,
+    row_names,
+    systems,
 )
 from angie.evaluation.scoring import make_judge
 from angie.evaluation.space import RegionSpace, open_space
 from angie.evaluation.videos import in_turn, write_videos
-from angie.generators import family
 from angie.generators.stages import plain
 from angie.motion.clips import MotionClip
 from angie.motion.keypoints import KeypointDataset
@@ -52,6 +51,7 @@ def evaluate(
     output: Path,
     config: EvaluationConfig | None = None,
     *,
+    generator: str | None = None,
     device: str = "cpu",
     force: bool = False,
 ) -> dict[str, Any]:
@@ -62,6 +62,7 @@ def evaluate(
         bundles: complete speaker bundles; those of one renderer share a table.
         output: folder of the report.
         config: how.
+        generator: the only one of each bundle that is scored; None is all, a row each.
         device: torch device of the renderers.
         force: replace a report that exists.
 
@@ -74,19 +75,19 @@ def evaluate(
     config = config or EvaluationConfig()
     check_apart(output, [dataset, *bundles])
     data = Dataset(dataset)
-    groups = _grouped(bundles)
+    groups = [(group, systems(group, generator)) for group in _grouped(bundles)]
     check_perceptual(config)
     if config.fgd is not None:  # told before minutes of work
-        for group in groups:
-            stored_autoencoder(config.fgd, next(iter(group.values())).hash_of("renderer"))
+        for _, entered in groups:
+            stored_autoencoder(config.fgd, entered[0].bundle.hash_of("renderer"))
     joints = {} if config.truth is None else true_joints(data, config.truth)
     with whole_folder(output, mark=report.MARK, force=force) as part:
         spaces = []
-        for number, group in enumerate(groups):
+        for number, (group, entered) in enumerate(groups):
             scratch = part / f"motion-{number}"
-            space = open_space(data, next(iter(group.values())), scratch, device)
-            rows = make_rows(space, group, config)
-            drawn = _drawn(data, space, group, rows, joints, config, device)
+            space = open_space(data, entered[0].bundle, scratch, device)
+            rows = make_rows(space, entered, config)
+            drawn = _drawn(data, space, entered, rows, joints, config, device)
             spaces.append(
                 score_space(data, space, rows, group, part, number, config, pictures=drawn)
             )
@@ -95,45 +96,23 @@ def evaluate(
 
 
 def _grouped(folders: Sequence[Path]) -> list[dict[str, Bundle]]:
-    """Complete bundles by row name, those of one renderer together.
+    """Bundles by name, those of one renderer together.
 
     Raises:
-        BadInput: no bundle, a bundle named twice, or one that lacks a part.
+        BadInput: no bundle, a bundle named twice, or one of joints or without a renderer.
     """
     if not folders:
         raise BadInput("no bundle is named; give one or more speaker bundles")
     if len({Path(f).resolve() for f in folders}) < len(folders):
         raise BadInput("a bundle is named twice; name each once")
     groups: dict[str, dict[str, Bundle]] = {}
-    for folder, label in zip(folders, row_names(folders), strict=True):
+    for folder, name in zip(folders, row_names(folders), strict=True):
         bundle = Bundle.open(folder)
         if bundle.preset.points:
             raise BadInput(f"{folder}: is a model of joints; score it on a folder of joints")
-        check_whole(bundle)
-        groups.setdefault(bundle.hash_of("renderer"), {})[label] = bundle
+        bundle.path_of("renderer")
+        groups.setdefault(bundle.hash_of("renderer"), {})[name] = bundle
     return list(groups.values())
-
-
-def row_names(folders: Sequence[Path]) -> list[str]:
-    """Names of the rows of different folders: with as many of their parents as tell them apart."""
-    places = [Path(folder).resolve().parts for folder in folders]
-    names = [""] * len(places)
-    for length in range(1, max(map(len, places)) + 1):
-        longer = ["/".join(parts[-length:]) for parts in places]
-        names = [name or new for name, new in zip(names, longer, strict=True)]
-        taken = [*names, TRUE_REGIONS, *REFERENCES]
-        names = [name if taken.count(name) == 1 else "" for name in names]
-    return [name or "/".join(parts) for name, parts in zip(names, places, strict=True)]
-
-
-def check_whole(bundle: Bundle) -> None:
-    """See that a bundle has every part that it needs.
-
-    Raises:
-        BadInput: it lacks one.
-    """
-    for part in bundle.needed():
-        bundle.path_of(part)
 
 
 def remove_folder(folder: Path) -> None:
@@ -149,20 +128,13 @@ def seeds_of(config: EvaluationConfig) -> list[int]:
     return [config.seed + i for i in range(config.seeds)]
 
 
-def baselines(space: RegionSpace, seeds: Sequence[int]) -> list[Row]:
-    """The rows that always stand there: ground truth and three baselines."""
-    return [ground_truth(space), motionless(space), mismatched(space, seeds), nearest_audio(space)]
-
-
-def make_rows(
-    space: RegionSpace, bundles: dict[str, Bundle], config: EvaluationConfig
-) -> list[Row]:
-    """Ground truth, the baselines, and what each bundle generates."""
+def make_rows(space: RegionSpace, entered: Sequence[System], config: EvaluationConfig) -> list[Row]:
+    """Ground truth, the baselines, and what each system generates."""
     seeds = seeds_of(config)
     rows = baselines(space, seeds)
-    with progress("gestures", len(bundles), "bundles") as advance:
-        for name, bundle in bundles.items():
-            rows.append(generated(space, bundle, name, seeds, config.start, config.greedy))
+    with progress("gestures", len(entered), "generators") as advance:
+        for system in entered:
+            rows.append(generated(space, system, seeds, config.start, config.greedy))
             advance()
     return rows
 
@@ -202,7 +174,7 @@ def score_space(
         data: the clips, with their frames where pictures are drawn.
         space: their motion.
         rows: the ground truth first.
-        bundles: those told of, by name.
+        bundles: those that the report describes, by name.
         folder: of the report.
         number: of the space in the report.
         config: how.
@@ -225,7 +197,7 @@ def score_space(
             place.mkdir()
             videos = [f"{place.name}/{name}" for name in pictures.videos(place)]
     shown = shown or space.test[in_turn(space.test, 1)[0]].name
-    told = {name: told_of(bundle, data) for name, bundle in bundles.items()}
+    told = {name: describe(bundle, data) for name, bundle in bundles.items()}
     return report.numbers_of_space(space, judge, rows, numbers, shown, bins, origin, told) | {
         "images": images,
         "videos": videos,
@@ -244,8 +216,8 @@ def finish(
     return numbers
 
 
-def told_of(bundle: Bundle, data: Dataset | KeypointDataset) -> dict[str, Any]:
-    """What a report tells of a bundle."""
+def describe(bundle: Bundle, data: Dataset | KeypointDataset) -> dict[str, Any]:
+    """What a report says of a bundle."""
     parts = bundle.manifest["parts"]
     trained = parts["statistics" if bundle.preset.points else "renderer"]["report"]
     return {
@@ -260,7 +232,7 @@ def told_of(bundle: Bundle, data: Dataset | KeypointDataset) -> dict[str, Any]:
 def _drawn(
     data: Dataset,
     space: RegionSpace,
-    bundles: dict[str, Bundle],
+    entered: Sequence[System],
     rows: Sequence[Row],
     joints: dict[str, NDArray],
     config: EvaluationConfig,
@@ -269,11 +241,11 @@ def _drawn(
     """The pictures of bundles of one renderer; None where none are wanted."""
     if not config.images:
         return None
-    renderer = next(iter(bundles.values())).renderer().to(device)
+    renderer = entered[0].bundle.renderer().to(device)
     return Pictures(
         renderer,
         joints,
-        partial(_score_images, data, space, bundles, joints, config),
+        partial(_score_images, data, space, entered, joints, config),
         lambda folder: write_videos(folder, data, space.test, rows, renderer, config.videos_shown),
     )
 
@@ -281,20 +253,21 @@ def _drawn(
 def _score_images(
     data: Dataset,
     space: RegionSpace,
-    bundles: dict[str, Bundle],
+    entered: Sequence[System],
     joints: dict[str, NDArray],
     config: EvaluationConfig,
     judge: FrameJudge,
 ) -> dict[str, Any]:
-    """Image scores of the true regions, of stillness, and of each bundle's reconstruction."""
+    """Image scores of the true regions, of stillness, and of generators' reconstructions."""
     about = {
         TRUE_REGIONS: "Drawn from the regions of the recorded frames: the renderer only.",
         "motionless": "Drawn from the first pose throughout.",
     }
     drivers: dict[str, Driver] = {"motionless": _held}
-    for name, bundle in bundles.items():
-        drivers[name] = _through_codes(bundle)
-        about[name] = "Drawn from its reconstruction: the true motion encoded, decoded, refined."
+    for system in entered:
+        if system.family.reconstruct is not None:
+            drivers[system.name] = _through_tokens(system)
+            about[system.name] = "Drawn from its reconstruction of the true motion."
     frames = sum(len(config.choice.numbers(c.motion.frames)) for c in space.test)
     with progress("image scores", frames * len(about), "frames") as advance:
         scores = score_pictures(judge, data, space.test, drivers, joints, config.choice, advance)
@@ -308,15 +281,11 @@ def _held(clip: MotionClip) -> Motion:
     return clip.motion.like(clip.motion[:1].vector().expand(clip.motion.frames, -1))
 
 
-def _through_codes(bundle: Bundle) -> Driver:
-    name, generator, speakers = bundle.chosen(), bundle.generator(), bundle.statistics().speakers
-    through = family(name).reconstruct
+def _through_tokens(system: System) -> Driver:
+    """Gives a clip's motion as the generator's own tokens give it back."""
+    through, generator = system.family.reconstruct, system.bundle.generator(system.generator)
     assert through is not None
-
-    def driver(clip: MotionClip) -> Motion:
-        return through(generator, clip, clip.speaker if clip.speaker in speakers else None)
-
-    return driver
+    return lambda clip: through(generator, clip, system.knows(clip.speaker))
 
 
 def numbers_of(

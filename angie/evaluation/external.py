@@ -15,10 +15,8 @@ from angie.bundle import Bundle
 from angie.evaluation import report
 from angie.evaluation.evaluate import (
     Pictures,
-    baselines,
     finish,
     remove_folder,
-    row_names,
     score_space,
     seeds_of,
 )
@@ -29,7 +27,7 @@ from angie.evaluation.networks import (
     check_perceptual,
     stored_autoencoder,
 )
-from angie.evaluation.rows import Performance, Row
+from angie.evaluation.rows import Performance, Row, baselines, row_names
 from angie.evaluation.space import RegionSpace, onsets_within, open_space
 from angie.evaluation.videos import padded, write_video
 from angie.metrics.images import read_pair

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from angie.evaluation.definitions import PIXEL
 from angie.evaluation.joints import JointReader
+from angie.evaluation.rows import TRUE_REGIONS
 from angie.metrics import images
 from angie.metrics.images import IdentityNetwork, embed
 from angie.metrics.score import Score
@@ -32,9 +33,6 @@ DRAWN = {"l1_drawn": "l1", "perceptual_drawn": "perceptual"}
 
 SCORED_IN = "fp32"
 """Precision of the frames that are scored."""
-
-TRUE_REGIONS = "true regions"
-"""Row of what the renderer draws from the regions of the recorded frames."""
 
 Driver = Callable[[MotionClip], Motion]
 """Gives the motion that is rendered for a clip."""

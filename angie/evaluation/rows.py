@@ -1,7 +1,8 @@
 """Rows of the table: ground truth, baselines, generators; each gives motion for every test clip."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -10,20 +11,22 @@ from numpy.typing import NDArray
 from angie.bundle import Bundle
 from angie.evaluation.space import RegionSpace, onsets_within
 from angie.generators import family
+from angie.generators.base import Family
 from angie.motion.clips import MotionClip
+from angie.motion.windows import WINDOW
 from data_prep.rates import FRAMES_PER_TOKEN
 from mraa.motion import Motion, positive
-
-WINDOW = 96
-"""Frames of a piece of the nearest sound: a training window of ANGIE."""
 
 FADE = 8
 """Frames in which one such piece becomes the next."""
 
 STARTS = ("truth", "pose")
-"""How a generator begins: with the first code pair of the truth, or with those of stillness."""
+"""How a generator begins: with the beginning of the recorded motion, or with stillness."""
 
-REFERENCES = ("ground truth", "motionless", "mismatched", "nearest audio")
+TRUE_REGIONS = "true regions"
+"""Row of what the renderer draws from the regions of the recorded frames."""
+
+REFERENCES = ("ground truth", "motionless", "mismatched", "nearest audio", TRUE_REGIONS)
 """Names of the rows that always stand there."""
 
 
@@ -61,11 +64,72 @@ class Row:
     runs: list[list[Performance]]
 
 
+@dataclass(frozen=True)
+class System:
+    """A generator of a bundle, which has a row of its own.
+
+    Attributes:
+        name: of the row.
+        bundle: complete, as far as the generator needs it.
+        generator: name of its family.
+    """
+
+    name: str
+    bundle: Bundle
+    generator: str
+
+    @property
+    def family(self) -> Family:
+        """What is known of this kind of generator."""
+        return family(self.generator)
+
+    def knows(self, speaker: str) -> str | None:
+        """A speaker's name, if the generator was trained on them."""
+        return speaker if speaker in self.bundle.statistics().speakers else None
+
+
+def systems(bundles: Mapping[str, Bundle], generator: str | None = None) -> list[System]:
+    """The generators of bundles, or one of each, as rows.
+
+    Args:
+        bundles: by name; a generator's own is added where one bundle has several rows.
+        generator: the only one wanted; None is all.
+
+    Raises:
+        BadInput: a bundle has no such generator, or one lacks a part.
+    """
+    found = []
+    for name, bundle in bundles.items():
+        wanted = [bundle.chosen(generator)] if generator else bundle.generators
+        for own in wanted:
+            for part in bundle.needed(own):
+                bundle.path_of(part)
+            found.append(System(f"{name} ({own})" if len(wanted) > 1 else name, bundle, own))
+    return found
+
+
+def row_names(folders: Sequence[Path]) -> list[str]:
+    """Names of the rows of different folders: with as many of their parents as tell them apart."""
+    places = [Path(folder).resolve().parts for folder in folders]
+    names = [""] * len(places)
+    for length in range(1, max(map(len, places)) + 1):
+        longer = ["/".join(parts[-length:]) for parts in places]
+        names = [name or new for name, new in zip(names, longer, strict=True)]
+        taken = [*names, *REFERENCES]
+        names = [name if taken.count(name) == 1 else "" for name in names]
+    return [name or "/".join(parts) for name, parts in zip(names, places, strict=True)]
+
+
 def perform(clip: MotionClip, motion: Motion) -> Performance:
     """Motion to the sound of a clip, both cut to the shorter of the two."""
     frames = min(motion.frames, clip.motion.frames)
     onsets = onsets_within(clip, frames)
     return Performance(clip.name, clip.speaker, motion[:frames], onsets, clip.motion[:frames])
+
+
+def baselines(space: RegionSpace, seeds: Sequence[int]) -> list[Row]:
+    """The rows that always stand there: ground truth and three baselines."""
+    return [ground_truth(space), motionless(space), mismatched(space, seeds), nearest_audio(space)]
 
 
 def ground_truth(space: RegionSpace) -> Row:
@@ -183,44 +247,46 @@ def _nearest(piece: NDArray, shelf: list[MotionClip], sounds: list[NDArray]) -> 
 
 def generated(
     space: RegionSpace,
-    bundle: Bundle,
-    name: str,
+    system: System,
     seeds: Sequence[int],
     start: str = "truth",
     greedy: bool = False,
-    generator_name: str | None = None,
 ) -> Row:
-    """What a bundle's generator makes of the sound of each test clip, from its first pose.
+    """What a generator makes of the sound of each test clip, from its first pose.
 
     Args:
         space: the clips.
-        bundle: a complete bundle of this space.
-        name: of the row.
-        seeds: one run each; a greedy generator gives one run.
-        start: "truth" begins with the first code pair of the recorded motion (Bailando's and the
-            paper's protocol), "pose" with the codes of stillness, as for a photo.
+        system: a generator of a bundle of this space.
+        seeds: one run each; without anything random there is one run.
+        start: "truth" gives the generator the first window of the recorded motion, of which it
+            takes what its paper's protocol does (ANGIE: the first code pair); "pose" begins with
+            stillness, as for a photo.
         greedy: always the likeliest gesture, whatever the bundle's own sampling.
-        generator_name: which generator of the bundle; None is its default.
     """
     if start not in STARTS:
         raise ValueError(f"start is one of {', '.join(STARTS)}, not {start!r}")
-    generator, speakers = bundle.generator(generator_name), bundle.statistics().speakers
-    runs = []
-    for seed in seeds if generator.random and not greedy else seeds[:1]:
-        run = []
-        for clip in space.test:
-            motion = generator.generate(
-                clip.speech,
-                clip.motion[:1],
-                clip.motion.frames,
-                seed=seed,
-                speaker=clip.speaker if clip.speaker in speakers else None,
-                seed_motion=clip.motion if start == "truth" else None,
-                greedy=greedy or None,
+    generator = system.bundle.generator(system.generator)
+    random = generator.random and not greedy
+    runs = [
+        [
+            perform(
+                clip,
+                generator.generate(
+                    clip.speech,
+                    clip.motion[:1],
+                    clip.motion.frames,
+                    seed=seed,
+                    speaker=system.knows(clip.speaker),
+                    seed_motion=clip.motion[:WINDOW] if start == "truth" else None,
+                    greedy=greedy or None,
+                ),
             )
-            run.append(perform(clip, motion))
-        runs.append(run)
+            for clip in space.test
+        ]
+        for seed in (seeds if random else seeds[:1])
+    ]
     begin = "the beginning of its motion" if start == "truth" else "stillness"
-    how = "drawn at random" if generator.random and not greedy else "the likeliest"
-    title = family(bundle.chosen(generator_name)).title
-    return Row(name, f"{title}, from each clip's first pose and {begin}; gestures {how}.", runs)
+    how = "sampled" if random else "greedy"
+    return Row(
+        system.name, f"{system.family.title}, {how}, from each clip's first pose and {begin}.", runs
+    )

@@ -13,16 +13,9 @@ import torch
 
 from angie.bundle import Bundle
 from angie.evaluation import report
-from angie.evaluation.evaluate import (
-    check_whole,
-    finish,
-    make_rows,
-    remove_folder,
-    row_names,
-    score_space,
-)
+from angie.evaluation.evaluate import finish, make_rows, remove_folder, score_space
 from angie.evaluation.networks import EvaluationConfig, stored_autoencoder
-from angie.evaluation.rows import Row, perform
+from angie.evaluation.rows import Row, perform, row_names, systems
 from angie.evaluation.space import RegionSpace
 from angie.motion.keypoints import KeypointDataset, read_points, read_rate, resample
 from angie.motion.statistics import measure
@@ -34,21 +27,23 @@ from mraa.motion import Motion
 
 def evaluate_joints(
     folder: Path,
-    systems: Sequence[Path],
+    places: Sequence[Path],
     output: Path,
     config: EvaluationConfig | None = None,
     *,
+    generator: str | None = None,
     force: bool = False,
 ) -> dict[str, Any]:
     """Score models of joints and arrays on the test clips of a folder of joints.
 
     Args:
         folder: joints with their sound, see `angie.motion.keypoints`.
-        systems: bundles of joints, and folders of any system's `<clip>.npy` or `.npz` with
+        places: bundles of joints, and folders of any system's `<clip>.npy` or `.npz` with
             `points` (T, J, 2), named like test clips and at the clips' own rate (or at the
             file's `fps`).
         output: folder of the report.
         config: how; nothing is drawn.
+        generator: the only one of each bundle that is scored; None is all, a row each.
         force: replace a report that exists.
 
     Returns:
@@ -58,10 +53,11 @@ def evaluate_joints(
         BadInput: an input that cannot be used; nothing is left behind.
     """
     config = replace(config or EvaluationConfig(), images=False)
-    check_apart(output, [folder, *systems])
-    if len({Path(system).resolve() for system in systems}) < len(systems):
+    check_apart(output, [folder, *places])
+    if len({Path(place).resolve() for place in places}) < len(places):
         raise BadInput("a system is named twice; name each once")
-    models, arrays = _told_apart(systems)
+    models, arrays = _told_apart(places)
+    entered = systems(models, generator)
     with whole_folder(output, mark=report.MARK, force=force) as part:
         kept = [model.train / "features" for model in models.values()]
         cache = next((place for place in kept if place.is_dir()), part / "features")
@@ -70,7 +66,7 @@ def evaluate_joints(
         found = {name: read_arrays(data, place) for name, place in arrays.items()}
         data.check_sound()
         space = open_joints(data)
-        rows = make_rows(space, models, config)
+        rows = make_rows(space, entered, config)
         rows += [array_row(space, name, motions) for name, motions in found.items()]
         result = score_space(data, space, rows, models, part, 0, config)
         for name, motions in found.items():
@@ -79,23 +75,22 @@ def evaluate_joints(
         return finish(data, [result], part, config)
 
 
-def _told_apart(systems: Sequence[Path]) -> tuple[dict[str, Bundle], dict[str, Path]]:
+def _told_apart(places: Sequence[Path]) -> tuple[dict[str, Bundle], dict[str, Path]]:
     """Models, and folders of arrays, by the names of their rows.
 
     Raises:
-        BadInput: no folder, a model of regions, or one that lacks a part.
+        BadInput: no folder, or a model of regions.
     """
     models, arrays = {}, {}
-    for system, name in zip(systems, row_names(systems), strict=True):
-        if (system / "bundle.json").is_file():
-            models[name] = Bundle.open(system)
+    for place, name in zip(places, row_names(places), strict=True):
+        if (place / "bundle.json").is_file():
+            models[name] = Bundle.open(place)
             if not models[name].preset.points:
-                raise BadInput(f"{system}: is a model of regions; score it on a dataset of videos")
-            check_whole(models[name])
-        elif system.is_dir():
-            arrays[name] = system
+                raise BadInput(f"{place}: is a model of regions; score it on a dataset of videos")
+        elif place.is_dir():
+            arrays[name] = place
         else:
-            raise BadInput(f"{system}: is no folder; give models of joints, or folders of arrays")
+            raise BadInput(f"{place}: is no folder; give models of joints, or folders of arrays")
     return models, arrays
 
 
