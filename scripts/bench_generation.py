@@ -121,13 +121,13 @@ def shares(generator: AngieGenerator, length: int, window: str) -> None:
     onset = torch.from_numpy(speech["onset"][: tokens_covering(length * FPS)])
     codes = torch.randint(generator.vq.config.codes, (2, len(onset)))
     pose = Motion.from_vector(generator.statistics.rest[:1])
-    pattern = generator._integrate(generator._decode(codes)[: length * FPS], pose.vector()[0], None)
+    pattern = generator.integrate(generator.decode(codes)[: length * FPS], pose.vector()[0], None)
     mfcc = torch.from_numpy(speech["mfcc"])
     parts = {
         "features": heard,
-        "codes": seconds(lambda: generator._codes(onset, 0, None)),
-        "decoding": seconds(lambda: generator._decode(codes)),
-        "refinement": seconds(lambda: generator._residual(mfcc, pattern)),
+        "codes": seconds(lambda: generator.draw_codes(onset, 0, None)),
+        "decoding": seconds(lambda: generator.decode(codes)),
+        "refinement": seconds(lambda: generator.residual(mfcc, pattern)),
     }
     _, more = grown(lambda: generator.generate(speech, pose, length * FPS))
     text = ", ".join(f"{name} {100 * part / length:.2f} %" for name, part in parts.items())

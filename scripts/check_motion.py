@@ -20,9 +20,8 @@ beats     Beat consistency of the truth and of what is generated, with and witho
 calm      10 s of a test clip's speech and 10 s of digital silence in one recording, from the
           clip's first pose: mean speed of the active regions in the silence over that in the
           speech, mean over speakers, clips and three seeds. `silence alone` takes 10 s of silence
-          without speech before, `real` is the same ratio of the
-          recorded motion, pauses of a second or more (without their first half second) against
-          the rest.
+          without speech before it; `real` is the same ratio of the recorded motion, pauses of a
+          second or more (without their first half second) against the rest.
 long      The test sound of one speaker, joined up to 10 minutes, in one run: the largest excess of
           a channel of the shift over the training range (displacement from the speaker's rest) in
           units of its width; the peak memory of a process that does that and of one that makes a
@@ -31,12 +30,11 @@ long      The test sound of one speaker, joined up to 10 minutes, in one run: th
           change must be distributed as at the other borders of tokens: two-sample
           Kolmogorov-Smirnov tests, their distance (the largest difference of the two cumulative
           distributions), p, and the ratio of the medians; `seam_p` is the smallest p times the
-          number of tests (Bonferroni), and a seam shows if it is below 0.05. Six runs
-          count, in which the same sound begins a token
-          later each time, so that every place of the speech is a border of decoder and
-          refiner in one of them: in a single run borders may by chance lie in livelier speech
-          than other tokens. Each run has a seed of its own; with one seed for all, the same
-          chance would move all of them at one step. `one run` tests the first run alone.
+          number of tests (Bonferroni), and a seam shows if it is below 0.05. Six runs count, each
+          begun a token later than the one before, so that every place of the speech is a border of
+          decoder and refiner in one of them: in a single run borders may by chance lie in livelier
+          speech than other tokens. Each run has its own seed; with one seed for all, the same
+          chance would move all of them at one step. `one run` tests only the first run.
 """
 
 import argparse

@@ -181,10 +181,10 @@ class AngieGenerator(GestureGenerator):
             sound = self.statistics.standard_onset(onset)
             delta = self.vq.predict(sound, who, self.config.blend)
         else:
-            codes = self._codes(onset, seed, start_codes, who, self._sampling(greedy))
-            delta = self._decode(codes)
-        pattern = self._integrate(delta[:frames], first, speaker)
-        motion = pattern + self._residual(mfcc, pattern) if self.config.refine else pattern
+            codes = self.draw_codes(onset, seed, start_codes, who, self._sampling(greedy))
+            delta = self.decode(codes)
+        pattern = self.integrate(delta[:frames], first, speaker)
+        motion = pattern + self.residual(mfcc, pattern) if self.config.refine else pattern
         return self.renderable(motion, first)
 
     @torch.no_grad()
@@ -223,7 +223,7 @@ class AngieGenerator(GestureGenerator):
             return self.config.sampling
         return replace(self.config.sampling, method="greedy" if greedy else "topk")
 
-    def _codes(
+    def draw_codes(
         self,
         onset: Tensor,
         seed: int,
@@ -247,7 +247,7 @@ class AngieGenerator(GestureGenerator):
             still=still,
         )
 
-    def _decode(self, codes: Tensor) -> Tensor:
+    def decode(self, codes: Tensor) -> Tensor:
         """Normalised deltas (8S, 5K) of codes (streams, S) on the CPU."""
         assert isinstance(self.vq, VQMotionExtractor)
         codes = codes.to(self.vq.mean.device)
@@ -258,7 +258,7 @@ class AngieGenerator(GestureGenerator):
             else self.vq.decode_whole(codes)
         )
 
-    def _integrate(self, delta: Tensor, start: Tensor, speaker: str | None) -> Tensor:
+    def integrate(self, delta: Tensor, start: Tensor, speaker: str | None) -> Tensor:
         """Pattern motion (T, 5K) of normalised deltas.
 
         Bounding is for relative shift and Cholesky factor; other variants are summed up plainly.
@@ -276,7 +276,7 @@ class AngieGenerator(GestureGenerator):
         delta = delta * statistics.delta_scale
         return integrate_bounded(delta, start, rest, statistics.low, statistics.high, anchors)
 
-    def _residual(self, mfcc: Tensor, pattern: Tensor) -> Tensor:
+    def residual(self, mfcc: Tensor, pattern: Tensor) -> Tensor:
         """Residual motion (T, 5K); it grows from zero over the first token."""
         scale = self.statistics.pose_scale
         residual = self.refiner.refine(

@@ -212,8 +212,8 @@ def test_the_blend_reaches_decoder_and_refiner(generator, speech, start, monkeyp
 def test_seed_codes_begin_the_sequence(generator, speech, start):
     onset = torch.as_tensor(speech["onset"])
     begin = torch.tensor([[1, 2, 3], [4, 5, 6]])
-    assert torch.equal(generator._codes(onset, 0, begin)[:, :3], begin)
-    assert torch.equal(generator._codes(onset, 0, None)[:, 0], generator.vq.start_codes())
+    assert torch.equal(generator.draw_codes(onset, 0, begin)[:, :3], begin)
+    assert torch.equal(generator.draw_codes(onset, 0, None)[:, 0], generator.vq.start_codes())
 
 
 def test_too_little_sound_or_a_foreign_pose_is_refused(generator, speech, start):
@@ -368,7 +368,7 @@ def test_windows_of_the_gpt_begin_where_seams_are_looked_for(
 
     monkeypatch.setattr(hopping.gpt, "advance", watched)
     onset = torch.as_tensor(speech["onset"])
-    hopping._codes(onset, 0, None)
+    hopping.draw_codes(onset, 0, None)
     begun = [step for step, codes in enumerate(seen, 1) if codes > 1]
     assert len(begun) > 1 and (borders(hopping, 8 * len(onset))["gpt"] / 8).tolist() == begun
     sliding = configured(generator, window=Window("slide"))
