@@ -1,18 +1,18 @@
 """Photo and driving video to a video: find the speaker, estimate regions, transfer, draw."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from angie import __version__
-from angie.bundle import Bundle
-from angie.pipeline import Result, encoder_threads, write_video
-from angie.source import Subject, check_look, open_subject
+from angie.pipeline import GesturePipeline, GestureVideo
+from angie.source import Photo, View
 from data_prep.errors import BadInput
-from data_prep.files import check_apart, whole_file
-from data_prep.media.video import VideoInfo, VideoWriter, probe
+from data_prep.media.video import VideoInfo, probe
 from data_prep.prepare.square import Square, find_square, given_square
 from data_prep.rates import FPS
 from data_prep.speaker.crop import PEOPLE, Crop
@@ -29,110 +29,96 @@ BATCH = 16
 """Driving frames whose regions are estimated together."""
 
 
+@dataclass(frozen=True)
+class Driving:
+    """What is taken of a driving video, and how.
+
+    Attributes:
+        mode: one of `mraa.avd.MODES`; None is "avd" where the bundle has that network, else
+            "relative".
+        sound: a recording in place of the video's own sound; cut or followed by silence where
+            its length is another.
+        crop: square of the driving video, in pixels; None finds it by the speaker's face.
+        person: "left", "right" or "largest" where it shows several people.
+    """
+
+    mode: str | None = None
+    sound: Path | None = None
+    crop: Crop | None = None
+    person: str | None = None
+
+
 def drive(
-    photo_path: Path,
-    video_path: Path,
-    output: Path,
-    bundle: Bundle,
-    *,
-    mode: str | None = None,
-    sound_path: Path | None = None,
-    drive_crop: Crop | None = None,
-    drive_person: str | None = None,
-    device: str = "cpu",
-    crop: Crop | None = None,
-    person: str | None = None,
-    precision: str = "auto",
-    size: str | None = None,
-    full_frame: bool = False,
-    track_axes: bool = False,
-    force: bool = False,
-) -> Result:
+    pipeline: GesturePipeline,
+    photo: Photo,
+    video: Path,
+    driving: Driving | None = None,
+    view: View | None = None,
+) -> GestureVideo:
     """Make the person of a photo move as a driving video does (MRAA, section 3.4).
 
     The video is read at 25 fps by presentation time and never held: only a batch of its frames.
 
     Args:
-        photo_path: any photo Pillow reads.
-        video_path: any video of a speaker.
-        output: the mp4 to write, as long as the driving video.
-        bundle: a speaker bundle with a renderer; gesturing to sound may be missing.
-        mode: one of `mraa.avd.MODES`; None is "avd" where the bundle has that network, else
-            "relative".
-        sound_path: a recording in place of the video's own sound; cut or followed by silence
-            where its length is another.
-        drive_crop: square of the driving video, in pixels; None finds it by the speaker's face.
-        drive_person: "left", "right" or "largest" where it shows several people.
-        device: torch device.
-        crop: square of the photo, as in `angie.pipeline.animate`; so the following ones.
-        person: which of several people in the photo.
-        precision: of the renderer's convolutions.
-        size: pixels of the video's side.
-        full_frame: the video shows the whole photo.
-        track_axes: follow the axes of regions from frame to frame.
-        force: replace an existing output.
+        pipeline: of a bundle with a renderer; gesturing to sound may be missing.
+        photo: as in `GesturePipeline`.
+        video: any video of a speaker.
+        driving: what is taken of it, and how.
+        view: which part of the photo moves, and what is shown of it.
+
+    Returns:
+        a video as long as the driving one.
 
     Raises:
-        BadInput: an input that cannot be used; nothing is left behind.
+        BadInput: an input that cannot be used.
     """
-    check_look(precision, device, size, full_frame)
-    mode = mode or ("avd" if "avd" in bundle.manifest["parts"] else "relative")
+    driving, view, bundle = driving or Driving(), view or View(), pipeline.bundle
+    mode = driving.mode or ("avd" if "avd" in bundle.manifest["parts"] else "relative")
     if mode not in MODES:
         raise BadInput(f"--mode {mode}: there are {', '.join(MODES)}")
-    if drive_person not in (None, *PEOPLE):
-        raise BadInput(f"--drive-person {drive_person}: there are {', '.join(PEOPLE)}")
-    check_apart(output, [photo_path, video_path, *([sound_path] if sound_path else [])])
-    with whole_file(output, force=force) as part:
-        info = probe(video_path)
-        subject = open_subject(
-            photo_path,
-            bundle,
-            device=device,
-            crop=crop,
-            person=person,
-            size=size,
-            full_frame=full_frame,
-            track_axes=track_axes,
-        )
-        avd = bundle.avd().to(device) if mode == "avd" else None
-        square = _square(video_path, info, drive_crop, drive_person)
-        with torch.no_grad():
-            estimated = subject.renderer.estimator(subject.picture)
+    if driving.person not in (None, *PEOPLE):
+        raise BadInput(f"--drive-person {driving.person}: there are {', '.join(PEOPLE)}")
+    info = probe(video)
+    subject = pipeline.subject(photo, view)
+    avd = bundle.avd().to(pipeline.device) if mode == "avd" else None
+    square = _square(video, info, driving)
+    renderer = pipeline.renderer
+    with torch.no_grad():
+        estimated = renderer.estimator(subject.picture)
+
+    def frames() -> Iterator[NDArray[np.uint8]]:
         keep_memory()  # from here on: what the search used has been given back
-        affine_mode = subject.renderer.config.affine_mode
-        transfer = Transfer(mode, estimated, affine_mode, avd, tracked=track_axes)
-        sound = sound_path or (video_path if info.has_sound else None)
-        video = VideoWriter(
-            part,
-            subject.shown.width_height,
-            FPS,
-            sound=sound,
-            comment=COMMENT,
-            origin=None if sound_path else info.start,
-            threads=encoder_threads(subject.shown.width_height),
-            fit=True,
+        transfer = Transfer(
+            mode, estimated, renderer.config.affine_mode, avd, tracked=view.track_axes
         )
-        frames = write_video(video, _frames(subject, square, transfer, precision), square.frames)
-    shown = subject.shown
-    notes = [shown.note, *_notes(square, video, sound_path)]
-    note = "; ".join(line for line in notes if line)
-    seconds = frames / FPS if sound is not None else 0.0
-    return Result(Path(output), frames, seconds, subject.crop, shown.width_height, note)
+        chunks = (transfer(regions) for regions in estimate(renderer, square.pictures()))
+        return draw(
+            pipeline.tracking(view.track_axes), subject.picture, transfer.source, chunks,
+            pipeline.precision, subject.canvas,
+        )  # fmt: skip
 
-
-def _square(path: Path, info: VideoInfo, crop: Crop | None, person: str | None) -> Square:
-    if crop is not None:
-        return given_square(path, info, crop, "--drive-crop")
-    return find_square(path, info, person, "--drive-crop")
-
-
-def _frames(
-    subject: Subject, square: Square, transfer: Transfer, precision: str
-) -> Iterator[np.ndarray]:
-    chunks = (transfer(regions) for regions in estimate(subject.renderer, square.pictures()))
-    return draw(
-        subject.renderer, subject.picture, transfer.source, chunks, precision, subject.canvas
+    sound = driving.sound or (video if info.has_sound else None)
+    return GestureVideo(
+        subject,
+        square.frames,
+        square.frames / FPS if sound is not None else 0.0,
+        frames,
+        sound,
+        comment=COMMENT,
+        inputs=tuple(path for path in (subject.path, video, driving.sound) if path),
+        notes=list(_notes(square)),
+        origin=None if driving.sound else info.start,
+        fit=True,
+        if_cut=""
+        if driving.sound is None
+        else f"{driving.sound} is longer than the driving video and was cut at its end",
     )
+
+
+def _square(path: Path, info: VideoInfo, driving: Driving) -> Square:
+    if driving.crop is not None:
+        return given_square(path, info, driving.crop, "--drive-crop")
+    return find_square(path, info, driving.person, "--drive-crop")
 
 
 def estimate(renderer: Renderer, pictures: Iterator[np.ndarray]) -> Iterator[Regions]:
@@ -154,10 +140,8 @@ def _regions(renderer: Renderer, batch: list[np.ndarray], device: torch.device) 
     return Regions(regions.shift, regions.covariance, regions.affine)
 
 
-def _notes(square: Square, video: VideoWriter, sound_path: Path | None) -> Iterator[str]:
+def _notes(square: Square) -> Iterator[str]:
     """What the person should know of a driving video."""
     if square.cuts:
         times = "once" if square.cuts == 1 else f"{square.cuts} times"
         yield f"{square.path} cuts to another picture {times}; the motion jumps there"
-    if video.cut and sound_path:
-        yield f"{sound_path} is longer than the driving video and was cut at its end"

@@ -5,14 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from angie.bundle import Bundle, check_style
+from angie.bundle import check_style
 from angie.motion.keypoints import read_points, resample
 from angie.motion.statistics import MotionStatistics
+from angie.pipeline import GesturePipeline
 from data_prep.errors import BadInput
 from data_prep.files import check_apart, whole_file
-from data_prep.media.audio import read_sound
-from data_prep.rates import FPS, frames_covering
-from data_prep.speech.features import Speech
+from data_prep.rates import FPS
 from mraa.motion import Motion, read_motion
 
 
@@ -45,7 +44,7 @@ def start_pose(
 
 
 def gestures(
-    bundle: Bundle,
+    pipeline: GesturePipeline,
     sound_path: Path,
     output: Path,
     *,
@@ -60,7 +59,7 @@ def gestures(
     """Generate motion for a recording and write it as arrays.
 
     Args:
-        bundle: a model of joints or of regions.
+        pipeline: of a model of joints or of regions.
         sound_path: any recording.
         output: .npz: `points` (T, J, 2) and `fps` of joints; of regions `shift` (T, K, 2),
             `cholesky` (T, K, 3) and `fps`. A name that ends in .npy gets the joints alone.
@@ -83,20 +82,19 @@ def gestures(
         BadInput: an input that cannot be used; nothing is left behind.
     """
     check_apart(output, [sound_path, *([start] if start else [])])
+    bundle = pipeline.bundle
     points = bundle.preset.points
     if output.suffix not in (".npz", ".npy") or (output.suffix == ".npy" and not points):
         raise BadInput(f"{output}: must end in .npz{' or .npy' if points else ''}")
     if fps != FPS and not points:
         raise BadInput(f"--fps {fps:g}: motion of regions has {FPS} frames a second")
-    check_style(bundle, style)
-    generator = bundle.generator()
+    check_style(bundle, style, pipeline.name)
+    generator = pipeline.generator
     with whole_file(output, force=force) as part:
-        samples = read_sound(sound_path)
-        pose = start_pose(bundle.statistics(), speaker, start)
-        frames = frames_covering(len(samples))
-        speech = Speech(samples)
+        speech = pipeline.speech(sound_path)
+        pose = start_pose(pipeline.statistics, speaker, start)
         motion = generator.generate(
-            speech, pose, frames, seed=seed, speaker=speaker, style=style, greedy=greedy
+            speech, pose, speech.frames, seed=seed, speaker=speaker, style=style, greedy=greedy
         )
         arrays: dict[str, Any] = {"fps": np.array(float(fps))}
         if points:
@@ -109,4 +107,4 @@ def gestures(
                 np.save(file, arrays["points"])
             else:
                 np.savez(file, **arrays)
-    return len(arrays["points"]) if points else frames
+    return len(arrays["points"]) if points else speech.frames

@@ -1,34 +1,33 @@
-"""The photo of a person, read, framed and ready to be animated.
+"""The photo of a person: read, its square found, and framed as the video shows it.
 
-What the video shows of the photo, and in how many pixels.
-
-The square of a photo that is animated; imports little, so that it is found beside the rest.
+It imports little, so that the person is found while the networks' libraries are imported.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
+from PIL import Image
 
-from angie.bundle import Bundle
 from data_prep.errors import BadInput
-from data_prep.media.photo import read_photo
+from data_prep.media.photo import photo_pixels, read_photo
 from data_prep.rates import IMAGE_SIZE
 from data_prep.speaker.crop import (
     Crop,
     check_crop,
     choose_person,
-    cut_out,
     find_people,
     speaker_crop,
 )
-from mraa.affine import WITH_AXES
-from mraa.fast.fullsize import FullSize
-from mraa.renderer import Renderer, from_pixels
-from mraa.training.devices import choose_precision
+
+if TYPE_CHECKING:
+    from mraa.fast.fullsize import FullSize
+
+Photo = Path | str | Image.Image | NDArray[np.uint8]
+"""A picture file, a picture of Pillow's, or pixels (H, W, 3) uint8 RGB."""
 
 SIZES = ("256", "512", "1024", "photo")
 """Choices of the video's side; "photo" is that of the square in the photo."""
@@ -64,7 +63,7 @@ class Framing:
             return self.photo.shape[1], self.photo.shape[0]
         return self.size, self.size
 
-    def canvas(self, *, align_corners: bool) -> FullSize | None:
+    def canvas(self, *, align_corners: bool) -> "FullSize | None":
         """What draws the frames at that size; None where the renderer's own frames do.
 
         Args:
@@ -72,9 +71,53 @@ class Framing:
         """
         if not self.whole and self.size == IMAGE_SIZE:
             return None
+        from mraa.fast.fullsize import FullSize
+
         return FullSize(
             self.photo, self.crop, self.size, align_corners=align_corners, whole=self.whole
         )
+
+
+@dataclass(frozen=True)
+class View:
+    """Which part of a photo moves, and what the video shows of it.
+
+    Attributes:
+        crop: the square to animate, in pixels of the upright photo; None finds it by the face.
+        person: "left", "right" or "largest" where the photo shows several people; None refuses
+            such photos.
+        size: "256", "512", "1024" or "photo": pixels of the video's side, 256 where None; above
+            256 the photo's own pixels are moved.
+        full_frame: the video shows the whole photo, in its own pixels.
+        track_axes: follow the axes of regions from frame to frame, see `mraa.affine.track_axes`;
+            not in MRAA.
+    """
+
+    crop: Crop | None = None
+    person: str | None = None
+    size: str | None = None
+    full_frame: bool = False
+    track_axes: bool = False
+
+    def __post_init__(self) -> None:
+        check_size(self.size, self.full_frame)
+
+
+def frame_photo(photo: Photo, view: View) -> tuple[Framing, Crop]:
+    """Read a photo and find its person: the photo as it is animated, and its square.
+
+    Raises:
+        BadInput: a photo that cannot be used.
+    """
+    if isinstance(photo, str | Path):
+        path, pixels = Path(photo), read_photo(Path(photo))
+    else:
+        path, pixels = Path("photo"), photo_pixels(photo)
+    crop = view.crop
+    if crop is None:
+        crop = photo_crop(path, pixels, view.person)
+    check_crop(crop, *pixels.shape[:2])
+    return framing(pixels, crop, view.size, view.full_frame), crop
 
 
 def check_size(size: str | None, full_frame: bool) -> None:
@@ -167,65 +210,3 @@ def photo_crop(
         )
     face = people[choose_person(people, person or "largest")]
     return speaker_crop(face, *photo.shape[:2])
-
-
-def check_look(precision: str, device: str, size: str | None, full_frame: bool) -> None:
-    """Refuse what the options of a video cannot mean, before anything is read.
-
-    Raises:
-        BadInput: which option, and why.
-    """
-    check_size(size, full_frame)
-    try:
-        choose_precision(precision, torch.device(device))
-    except ValueError as error:
-        raise BadInput(f"--precision {precision}: {error}") from error
-
-
-@dataclass(frozen=True)
-class Subject:
-    """A photo that is ready to be animated."""
-
-    renderer: Renderer
-    picture: torch.Tensor
-    """(1, 3, 256, 256) in [0, 1], the square of the photo, on the device."""
-    crop: Crop
-    """The square, in pixels of the upright photo."""
-    shown: Framing
-    """What the video shows."""
-    canvas: FullSize | None
-    """What draws the frames at that size; None where the renderer's own frames do."""
-
-
-def open_subject(
-    photo_path: Path,
-    bundle: Bundle,
-    *,
-    device: str,
-    crop: Crop | None,
-    person: str | None,
-    size: str | None,
-    full_frame: bool,
-    track_axes: bool,
-) -> Subject:
-    """Read a photo, find its person and load the renderer; options as in `animate`.
-
-    Raises:
-        BadInput: an input that cannot be used.
-    """
-    photo = read_photo(photo_path)
-    if crop is None:
-        crop = photo_crop(photo_path, photo, person)
-    check_crop(crop, *photo.shape[:2])
-    shown = framing(photo, crop, size, full_frame)
-    renderer = bundle.renderer().to(device)
-    if track_axes:
-        if renderer.config.affine_mode not in WITH_AXES:
-            mode = renderer.config.affine_mode
-            raise BadInput(f"--track-axes: regions of this bundle have no axes (they are {mode})")
-        renderer.flow.revert_axis_swap = False  # signs and order are meant from now on
-    canvas = shown.canvas(align_corners=renderer.config.align_corners)
-    if canvas is not None and not renderer.config.skips:
-        raise BadInput("this bundle's renderer moves no photo; there is --size 256 alone")
-    cut = torch.from_numpy(cut_out(shown.photo, shown.crop, IMAGE_SIZE))
-    return Subject(renderer, from_pixels(cut[None]).to(device), crop, shown, canvas)

@@ -6,6 +6,9 @@ Speech is the built-in voice's. Each length is animated by a process of its own,
 fills the caches; then frames are drawn alone, and drawn and encoded, in turn. Prints tables.
 """
 
+import angie.cli  # noqa: F401 (how OpenMP's threads wait; before torch is imported)
+
+# isort: split
 import argparse
 import multiprocessing
 import os
@@ -14,10 +17,6 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-
-from angie.waiting import WAITING
-
-os.environ.update({**WAITING, **os.environ})  # before torch comes
 
 import numpy as np
 import torch

@@ -8,18 +8,16 @@ together are all that `angie animate` does before it renders. For each length of
 of the resident memory above the loaded models is told.
 """
 
+import angie.cli  # noqa: F401 (how OpenMP's threads wait; before torch is imported)
+
+# isort: split
 import argparse
 import dataclasses
-import os
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-
-from angie.waiting import WAITING
-
-os.environ.update({**WAITING, **os.environ})  # before torch comes
 
 import numpy as np
 import torch

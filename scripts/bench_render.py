@@ -11,18 +11,16 @@ rate in that type, measured here as well. PSNR is that of the pictures before th
 8 bits. Prints a table for each renderer.
 """
 
+import angie.cli  # noqa: F401 (how OpenMP's threads wait; before torch is imported)
+
+# isort: split
 import argparse
-import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-
-from angie.waiting import WAITING
-
-os.environ.update({**WAITING, **os.environ})  # before torch comes
 
 import torch
 import torch.nn.functional as F

@@ -12,9 +12,11 @@ GFLOP and share of the machine's matrix rate, measured here too, and how fast pa
 and without the model. Prints Markdown tables.
 """
 
+import angie.cli  # noqa: F401 (how OpenMP's threads wait; before torch is imported)
+
+# isort: split
 import argparse
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -23,10 +25,6 @@ from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
-
-from angie.waiting import WAITING
-
-os.environ.update({**WAITING, **os.environ})  # before torch comes
 
 import cv2
 import numpy as np

@@ -14,6 +14,7 @@ from angie.commands.options import (
     Device,
     Force,
     FullFrame,
+    Generator,
     Precision,
     Seed,
     Size,
@@ -39,6 +40,7 @@ def animate(
     speaker: Annotated[
         Path | None, typer.Option(help="Speaker bundle; without it the shipped one.")
     ] = None,
+    generator: Generator = None,
     seed: Seed = 0,
     device: Device = "auto",
     crop: Annotated[
@@ -84,7 +86,7 @@ def animate(
     force: Force = False,
 ) -> None:
     """Make the person of a photo gesture to a recording, or as in a driving video."""
-    from data_prep.files import check_output
+    from data_prep.files import check_apart, check_output
 
     check_output(output, force=force)
     if output.suffix.lower() != ".mp4":
@@ -96,63 +98,54 @@ def animate(
         raise BadInput(f"--scale-motion {scale_motion}: there are none and hull")
     given = None if crop is None else square_of(crop)
     square = _found(photo, person) if given is None else lambda: given
-    from angie.bundle import BUNDLE, Bundle
-
-    bundle = Bundle.open(speaker or BUNDLE)
     look: dict[str, Any] = {
-        "device": device_of(device),
-        "person": person,
-        "precision": precision,
-        "size": size,
-        "full_frame": full_frame,
-        "track_axes": track_axes,
-        "force": force,
-    }
+        "person": person, "size": size, "full_frame": full_frame, "track_axes": track_axes,
+    }  # fmt: skip
+    inputs = [path for path in (photo, audio, drive) if path is not None]
+    check_apart(output, inputs)
     if drive is not None:
         want_file(drive, "driving video")
-        from angie.drive import drive as from_video
-
-        if greedy or scale_motion != "none" or style is not None:
+        if greedy or scale_motion != "none" or style is not None or generator is not None:
             raise BadInput(
-                "--greedy, --style and --scale-motion are for gestures to sound, not for --drive"
+                "--greedy, --style, --scale-motion and --generator are for gestures to sound, not "
+                "for --drive"
             )
-        corner = None if drive_crop is None else square_of(drive_crop, "--drive-crop")
-        result = from_video(
-            photo,
-            drive,
-            output,
-            bundle,
-            mode=mode,
-            sound_path=audio,
-            drive_crop=corner,
-            drive_person=drive_person,
-            crop=square(),
-            **look,
-        )
     elif audio is None:
         raise BadInput("give a recording to gesture to, or a video to follow with --drive VIDEO")
     elif mode or drive_crop or drive_person:
         raise BadInput("--mode, --drive-crop and --drive-person go with --drive VIDEO")
-    else:
-        from angie.pipeline import animate as from_sound
+    from angie.bundle import BUNDLE, Bundle
+    from angie.pipeline import GesturePipeline
+    from angie.source import View
 
-        result = from_sound(
+    pipeline = GesturePipeline(
+        Bundle.open(speaker or BUNDLE), generator, device=device_of(device), precision=precision
+    )
+    view = View(crop=square(), **look)
+    if drive is not None:
+        from angie.drive import Driving
+        from angie.drive import drive as from_video
+
+        corner = None if drive_crop is None else square_of(drive_crop, "--drive-crop")
+        driving = Driving(mode, audio, corner, drive_person)
+        result = from_video(pipeline, photo, drive, driving, view)
+    else:
+        assert audio is not None
+        result = pipeline(
             photo,
             audio,
-            output,
-            bundle,
             seed=seed,
-            scale_motion=scale_motion,
-            greedy=greedy,
             style=style,
-            crop=square(),
-            **look,
+            greedy=greedy,
+            scale_motion=scale_motion,
+            view=view,
         )
+    result.save(output, force=force)
     if result.note:
         console.print(f"angie: {result.note}", highlight=False, markup=False, soft_wrap=True)
     width, height = result.width_height
     sound = f"{result.seconds:.2f} s of sound" if result.seconds else "no sound"
-    print(f"{result.path}: {result.frames} frames of {width}x{height}, {sound}")
+    print(f"{output}: {result.frames} frames of {width}x{height}, {sound}")
 
 
 def _found(photo: Path, person: str | None) -> Callable[[], "Crop | None"]:
@@ -196,6 +189,7 @@ def gestures(
         ),
     ] = None,
     style: Style = None,
+    generator: Generator = None,
     fps: Annotated[float, typer.Option(min=1, max=1000, help="Frames a second of joints.")] = FPS,
     seed: Seed = 0,
     greedy: Annotated[
@@ -217,9 +211,10 @@ def gestures(
         want_file(start, "motion to begin with")
     from angie.bundle import Bundle
     from angie.gestures import gestures as make
+    from angie.pipeline import GesturePipeline
 
     frames = make(
-        Bundle.open(bundle),
+        GesturePipeline(Bundle.open(bundle), generator, precision="fp32"),
         audio,
         output,
         start=start,

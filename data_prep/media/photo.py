@@ -48,12 +48,7 @@ def read_photo(path: Path) -> np.ndarray:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(path) as opened:
-                image = ImageOps.exif_transpose(opened)
-                image = _to_eight_bits(image)
-                if image.has_transparency_data:
-                    ground = Image.new("RGBA", image.size, _GREY)
-                    image = Image.alpha_composite(ground, image.convert("RGBA"))
-                pixels = np.array(image.convert("RGB"))
+                pixels = _upright(opened)
     except UnidentifiedImageError as error:
         raise BadInput(f"{path}: not a picture; give a photo (jpg, png, webp ...)") from error
     except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
@@ -62,7 +57,36 @@ def read_photo(path: Path) -> np.ndarray:
         raise BadInput(
             f"{path}: the picture is damaged ({describe(error)}); copy or save it again"
         ) from error
+    return _checked(pixels, str(path))
+
+
+def photo_pixels(photo: Image.Image | np.ndarray) -> np.ndarray:
+    """Pixels of a photo that is in memory, as `read_photo` gives them.
+
+    Args:
+        photo: a picture of Pillow's, or pixels `(H, W, 3)` uint8 RGB, upright.
+
+    Raises:
+        BadInput: another array, or a tiny picture.
+    """
+    if isinstance(photo, Image.Image):
+        return _checked(_upright(photo), "photo")
+    if photo.ndim != 3 or photo.shape[2] != 3 or photo.dtype != np.uint8:
+        raise BadInput(f"photo: an array is (H, W, 3) uint8 RGB, not {photo.shape} {photo.dtype}")
+    return _checked(photo, "photo")
+
+
+def _upright(image: Image.Image) -> np.ndarray:
+    """Pixels `(H, W, 3)` uint8 RGB of a picture, turned by its EXIF tag."""
+    image = _to_eight_bits(ImageOps.exif_transpose(image))
+    if image.has_transparency_data:
+        ground = Image.new("RGBA", image.size, _GREY)
+        image = Image.alpha_composite(ground, image.convert("RGBA"))
+    return np.array(image.convert("RGB"))
+
+
+def _checked(pixels: np.ndarray, name: str) -> np.ndarray:
     if min(pixels.shape[:2]) < MIN_SIDE:
         height, width = pixels.shape[:2]
-        raise BadInput(f"{path}: is only {width}x{height} pixels; give a larger photo")
+        raise BadInput(f"{name}: is only {width}x{height} pixels; give a larger photo")
     return pixels

@@ -8,7 +8,7 @@ from PIL import Image
 
 from angie.bundle import BUNDLE, DEFAULT, PHOTO, SPEECH, Bundle
 from angie.opening import open_or_create
-from angie.pipeline import animate
+from angie.pipeline import GesturePipeline
 from data_prep.errors import BadInput
 from data_prep.media.audio import read_sound, write_wav
 from data_prep.media.video import read_frames
@@ -37,7 +37,7 @@ def test_the_shipped_presenter_moves_while_speaking(tmp_path):
     speech = read_sound(SPEECH)[: 3 * 16_000]
     write_wav(tmp_path / "speech.wav", speech)
     path = tmp_path / "out.mp4"
-    animate(PHOTO, tmp_path / "speech.wav", path, Bundle.open(BUNDLE))
+    GesturePipeline.from_pretrained()(PHOTO, tmp_path / "speech.wav").save(path)
     frames = np.stack(list(read_frames(path))).astype(int)
     assert len(frames) == 75
     moved = np.abs(frames - frames[0]).mean(axis=(1, 2, 3))

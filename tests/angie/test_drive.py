@@ -8,7 +8,9 @@ from PIL import Image
 
 from angie.bundle import BUNDLE, Bundle
 from angie.config import preset
-from angie.drive import BATCH, drive, estimate
+from angie.drive import BATCH, Driving, drive, estimate
+from angie.pipeline import GesturePipeline
+from angie.source import View
 from data_prep.errors import BadInput
 from data_prep.media.audio import read_sound, write_wav
 from data_prep.media.video import VideoWriter, read_frames
@@ -43,15 +45,21 @@ def folder(tmp_path_factory):
     return folder
 
 
-def make(folder, output, bundle=BUNDLE, video="talking.mp4", **options):
-    options = {"crop": SQUARE, "drive_crop": SQUARE, "precision": "fp32", **options}
-    return drive(folder / "photo.png", folder / video, output, Bundle.open(bundle), **options)
+def make(folder, output, bundle=BUNDLE, video="talking.mp4", *, force=False, **options):
+    driving = {name: options.pop(name) for name in ("mode", "sound") if name in options}
+    for name in ("drive_crop", "drive_person"):
+        driving[name[6:]] = options.pop(name, SQUARE if name == "drive_crop" else None)
+    pipe = GesturePipeline(Bundle.open(bundle), precision="fp32")
+    view = View(**{"crop": SQUARE, **options})
+    made = drive(pipe, folder / "photo.png", folder / video, Driving(**driving), view)
+    made.save(output, force=force)
+    return made
 
 
 @pytest.fixture(scope="module")
 def driven(folder):
     result = make(folder, folder / "driven.mp4")
-    return result, np.stack(list(read_frames(result.path)))
+    return result, np.stack(list(read_frames(folder / "driven.mp4")))
 
 
 def test_the_photo_moves_as_the_driver(driven):
@@ -74,15 +82,15 @@ def first_loud(path):
     return float(np.argmax(heard > 0.2) / 16_000)
 
 
-def test_the_drivers_sound_is_kept(driven):
-    result, frames = driven
+def test_the_drivers_sound_is_kept(driven, folder):
+    (result, frames), path = driven, folder / "driven.mp4"
     assert result.frames == len(frames) == LENGTH and result.note == ""
     assert result.seconds == LENGTH / 25
-    with av.open(str(result.path)) as file:
+    with av.open(str(path)) as file:
         picture, sound = file.streams.video[0], file.streams.audio[0]
         assert picture.duration * picture.time_base == sound.duration * sound.time_base
         assert "AI-generated" in file.metadata["comment"]
-    assert first_loud(result.path) == pytest.approx(0.25, abs=0.02)
+    assert first_loud(path) == pytest.approx(0.25, abs=0.02)
 
 
 @pytest.fixture(scope="module")
@@ -98,18 +106,20 @@ def rough(folder):
 
 
 def test_a_recording_replaces_it(folder, rough, tmp_path):
-    result = make(folder, tmp_path / "a.mp4", rough, sound_path=folder / "long.wav")
-    assert first_loud(result.path) == pytest.approx(0.5, abs=0.02)
+    path = tmp_path / "a.mp4"
+    result = make(folder, path, rough, sound=folder / "long.wav")
+    assert first_loud(path) == pytest.approx(0.5, abs=0.02)
     assert "long.wav is longer than the driving video" in result.note
-    with av.open(str(result.path)) as file:
+    with av.open(str(path)) as file:
         sound = file.streams.audio[0]
         assert float(sound.duration * sound.time_base) == LENGTH / 25
 
 
 def test_a_silent_driver_gives_a_silent_video(folder, rough, tmp_path):
-    result = make(folder, tmp_path / "a.mp4", rough, "silent.mp4", size="512")
+    path = tmp_path / "a.mp4"
+    result = make(folder, path, rough, "silent.mp4", size="512")
     assert result.seconds == 0 and result.width_height == (512, 512)
-    with av.open(str(result.path)) as file:
+    with av.open(str(path)) as file:
         assert not file.streams.audio and file.streams.video[0].frames == LENGTH
 
 
@@ -117,8 +127,9 @@ def test_the_network_is_the_default_where_there_is_one(folder, rough, tmp_path):
     given = {"video": "silent.mp4", "bundle": rough}
     frames = {}
     for mode in (None, "avd", "standard"):
-        result = make(folder, tmp_path / f"{mode}.mp4", mode=mode, **given)
-        frames[mode] = np.stack(list(read_frames(result.path)))
+        path = tmp_path / f"{mode}.mp4"
+        make(folder, path, mode=mode, **given)
+        frames[mode] = np.stack(list(read_frames(path)))
     assert np.array_equal(frames[None], frames["avd"])
     assert not np.array_equal(frames["avd"], frames["standard"])
 
@@ -132,7 +143,7 @@ def test_bad_input_leaves_nothing(folder, rough, tmp_path):
         ({"drive_crop": Crop(9000, 0, 10)}, "--drive-crop: the square lies outside"),
         ({"video": "own.wav"}, "no moving picture"),
         ({"track_axes": True}, "--track-axes"),
-        ({"sound_path": folder / "photo.png"}, "photo.png"),
+        ({"sound": folder / "photo.png"}, "photo.png"),
     ):
         with pytest.raises(BadInput, match=words):
             make(folder, output, **options)

@@ -1,3 +1,7 @@
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
 import av
 import cv2
 import numpy as np
@@ -6,8 +10,8 @@ import torch
 from PIL import Image
 
 from angie.bundle import Bundle
-from angie.pipeline import animate, scale_displacement
-from angie.source import framing
+from angie.pipeline import GesturePipeline, GestureVideo, mono, scale_displacement
+from angie.source import View, framing
 from data_prep.errors import BadInput
 from data_prep.media.audio import read_sound, write_wav
 from data_prep.media.video import read_frames
@@ -35,8 +39,16 @@ def speech(tmp_path_factory):
     return path
 
 
-def make(photo, speech, path, bundle, **options):
-    return animate(photo, speech, path, Bundle.open(bundle.folder), **options)
+@dataclass
+class Made:
+    video: GestureVideo
+    path: Path
+
+
+def make(photo, speech, path, bundle, *, seed=0, greedy=False, **view):
+    pipe = GesturePipeline(Bundle.open(bundle.folder))
+    video = pipe(photo, speech, seed=seed, greedy=greedy, view=View(**view))
+    return Made(video, video.save(path))
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +64,7 @@ def frames_of(path):
 def test_the_video_meets_the_contract(video, speech):
     samples = read_sound(speech)
     wanted = -(-len(samples) // 640)
-    assert video.frames == wanted
+    assert video.video.frames == wanted
     with av.open(str(video.path)) as file:
         picture, sound = file.streams.video[0], file.streams.audio[0]
         assert (picture.codec_context.name, sound.codec_context.name) == ("h264", "aac")
@@ -83,10 +95,81 @@ def test_the_first_frame_is_the_photo_and_later_ones_move(video, photo):
     frames = frames_of(video.path).astype(int)
     image = np.asarray(Image.open(photo))
     crop = speaker_crop(find_faces(image)[0], *image.shape[:2])
-    assert video.crop == crop
+    assert video.video.crop == crop
     error = ((frames[0] - cut_out(image, crop).astype(int)) ** 2).mean()
     assert 10 * np.log10(255**2 / error) > 20  # dB, through a barely trained renderer and H.264
     assert np.abs(frames[1:] - frames[0]).mean() > 0.3
+
+
+def test_frames_come_in_chunks_as_often_as_they_are_asked_for(video):
+    chunks = list(video.video)
+    assert all(c.dtype == np.uint8 and c.shape[1:] == (256, 256, 3) for c in chunks)
+    frames = np.concatenate(chunks)
+    assert 1 < len(chunks) < len(frames) == video.video.frames
+    assert np.array_equal(frames, np.concatenate(list(video.video)))
+    assert 10 * np.log10(255**2 / error_of(frames, frames_of(video.path))) > 30  # H.264
+    assert video.video.motion.frames == len(frames)
+    assert video.video.speech["mfcc"].shape == (len(frames), 28, 12)
+
+
+def test_pictures_and_samples_in_memory_are_as_good_as_files(photo, speech, bundle, video):
+    pipe = GesturePipeline(bundle)
+    image = Image.open(photo)
+    sound = (read_sound(speech), SAMPLE_RATE)
+    for given in (image, np.asarray(image)):
+        made = pipe(given, sound)
+        assert torch.equal(made.motion.vector(), video.video.motion.vector())
+
+
+def test_samples_become_mono_at_16_khz():
+    stereo = np.stack([np.full(48_000, 0.5), np.full(48_000, -0.1)], axis=1)
+    made = mono(stereo, 48_000)
+    assert made.shape == (16_000,) and made.dtype == np.float32
+    assert np.allclose(made[2000:-2000], 0.2, atol=1e-3)
+    whole = mono(np.full(16_000, 16_384, np.int16), 16_000)
+    assert np.allclose(whole, 0.5)
+    for samples, rate in (
+        (np.zeros((10, 3)), 16_000), (np.zeros(0), 16_000), (np.full(9, np.nan), 16_000),
+        (np.zeros(9, bool), 16_000), (np.zeros(9), 0),
+    ):  # fmt: skip
+        with pytest.raises(BadInput, match="audio: give samples"):
+            mono(samples, rate)
+
+
+def test_what_cannot_be_is_told_before_anything_is_made(photo, speech, bundle, tmp_path):
+    pipe = GesturePipeline(bundle)
+    for options, words in (
+        ({"scale_motion": "arms"}, "--scale-motion arms: there are none and hull"),
+        ({"style": "adam"}, "one style only; models trained with gpt.joint=true"),
+    ):
+        with pytest.raises(BadInput, match=words):
+            pipe(photo, speech, **options)
+    for image, words in (
+        (np.zeros((64, 64), np.uint8), r"photo: an array is \(H, W, 3\) uint8"),
+        (np.zeros((64, 64, 3), np.float32), "not .* float32"),
+        (np.zeros((8, 64, 3), np.uint8), "photo: is only 64x8 pixels"),
+        (np.zeros((64, 64, 3), np.uint8), "photo: no face found"),
+    ):
+        with pytest.raises(BadInput, match=words):
+            pipe(image, speech)
+    with pytest.raises(BadInput, match="--precision fp16"):
+        GesturePipeline(bundle, precision="fp16")
+    with pytest.raises(BadInput, match="--generator none: .* has angie"):
+        GesturePipeline.from_pretrained(bundle.folder, "none")
+    with pytest.raises(BadInput, match="not a speaker bundle"):
+        GesturePipeline.from_pretrained(tmp_path)
+
+
+def test_the_example_of_the_readme(photo, tmp_path, monkeypatch, capsys):
+    readme = Path(__file__).parents[2] / "README.md"
+    (code,) = re.findall(r"```python\n(.*?)```", readme.read_text(), re.S)
+    monkeypatch.chdir(tmp_path)
+    Image.open(photo).save("photo.jpg")
+    talk = recording(0, seconds=1.0, seed=5)
+    write_wav(Path("speech.wav"), talk.samples[: talk.rate], talk.rate)
+    exec(code, {})
+    assert len(frames_of(tmp_path / "out.mp4")) == 25
+    assert "torch.Size([25, 20, 2])" in capsys.readouterr().out
 
 
 def test_same_seed_same_video_other_seed_other(photo, speech, bundle, tmp_path, video):
@@ -106,14 +189,15 @@ def test_greedy_gives_one_video_whatever_the_seed(photo, speech, bundle, tmp_pat
 
 def test_an_input_is_never_replaced(photo, speech, bundle):
     before = speech.read_bytes()
+    video = GesturePipeline(bundle)(photo, speech)
     with pytest.raises(BadInput, match="would replace the input"):
-        make(photo, speech, speech, bundle, force=True)
+        video.save(speech, force=True)
     assert speech.read_bytes() == before
 
 
 def test_a_given_crop_is_used(photo, speech, bundle, tmp_path):
     result = make(photo, speech, tmp_path / "crop.mp4", bundle, crop=Crop(100, 0, 300))
-    assert result.crop == Crop(100, 0, 300)
+    assert result.video.crop == Crop(100, 0, 300)
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +219,7 @@ def test_a_larger_video_shows_the_photos_own_pixels(blip, bundle, tmp_path):
     errors = {}
     for size, side in (("256", 256), ("512", 512), ("photo", 720)):
         result = make(photo, blip, tmp_path / f"{size}.mp4", bundle, crop=crop, size=size)
-        assert result.width_height == (side, side) and result.crop == crop
+        assert result.video.width_height == (side, side) and result.video.crop == crop
         first = frames_of(result.path)[0]
         assert first.shape == (side, side, 3)
         large = cv2.resize(first, (720, 720), interpolation=cv2.INTER_CUBIC)
@@ -169,7 +253,7 @@ def test_in_the_whole_photo_only_the_square_moves(photo, bundle):
 
 
 def test_hull_scaling_scales_displacements_by_size(bundle, photo):
-    statistics = bundle.generator().statistics
+    statistics = bundle.statistics()
     rest = Motion.from_vector(statistics.rest.mean(0, keepdim=True))
     pose = Motion(rest.shift * 0.5, rest.cholesky)
     motion = Motion(pose.shift + 0.1, pose.cholesky)

@@ -9,7 +9,8 @@ from PIL import Image
 
 from angie.bundle import Bundle, styles
 from angie.cli import main
-from angie.pipeline import animate, scale_displacement
+from angie.pipeline import GesturePipeline, scale_displacement
+from angie.source import View
 from data_prep.errors import BadInput
 from data_prep.media.audio import write_wav
 from data_prep.media.video import read_frames
@@ -61,7 +62,8 @@ def call(monkeypatch, capsys, *arguments):
 
 def video_of(inputs, path, bundle, **options):
     photo, speech = inputs / "photo.png", inputs / "speech.wav"
-    animate(photo, speech, path, Bundle.open(bundle.folder), crop=CROP, **options)
+    pipe = GesturePipeline(Bundle.open(bundle.folder))
+    pipe(photo, speech, view=View(crop=CROP), **options).save(path)
     return np.stack(list(read_frames(path))).astype(int)
 
 
