@@ -1,16 +1,11 @@
-"""Outputs appear whole or not at all: written beside their place, then moved there.
-
-A lock on a folder that ends with the process, however that ends.
-"""
+"""Outputs appear whole or not at all: written beside their place, then moved there."""
 
 import os
 import secrets
 import shutil
-import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
 
 from data_prep.errors import BadInput
 
@@ -113,20 +108,9 @@ def check_apart(output: Path, inputs: Iterable[Path]) -> None:
 LOCK = ".lock"
 
 
-def _take(file: IO[bytes]) -> None:
-    if sys.platform == "win32":
-        import msvcrt
-
-        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
 @contextmanager
 def locked(folder: Path, what: Path) -> Iterator[None]:
-    """Hold the lock of a folder while the block runs.
+    """Hold the lock of a folder while the block runs; it ends with the process, however that ends.
 
     Args:
         folder: that is worked in.
@@ -135,9 +119,14 @@ def locked(folder: Path, what: Path) -> Iterator[None]:
     Raises:
         BadInput: another process holds it.
     """
-    with (folder / LOCK).open("wb") as file:
-        try:
-            _take(file)
-        except OSError as error:
-            raise BadInput(f"{what}: another run is making it; wait until it has ended") from error
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(folder / LOCK)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout as error:
+        raise BadInput(f"{what}: another run is making it; wait until it has ended") from error
+    try:
         yield
+    finally:
+        lock.release()

@@ -4,12 +4,18 @@ import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import av
 import av.error
 from av.container import InputContainer
 
 from data_prep.errors import BadInput
+
+_LENIENT: dict[str, Any] = (
+    {} if int(av.__version__.split(".")[0]) >= 19 else {"metadata_errors": "replace"}
+)
+"""Metadata that is not UTF-8 is no reason to refuse a file; PyAV 19 never does."""
 
 MAX_JUMP_AHEAD, MAX_JUMP_BACK = 3600.0, 1.0
 """Seconds by which time stamps may leap; beyond, parts were joined without mending them."""
@@ -69,7 +75,7 @@ def open_media(path: Path) -> Iterator[InputContainer]:
     check_file(path)
     options = {"protocol_whitelist": "file"}
     try:
-        container = av.open(f"file:{path}", mode="r", options=options, metadata_errors="replace")
+        container = av.open(f"file:{path}", mode="r", options=options, **_LENIENT)
     except (av.error.FFmpegError, OSError, ValueError) as error:
         what = describe(error)
         raise BadInput(f"{path}: not a recording or video that can be read ({what})") from error
