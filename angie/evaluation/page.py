@@ -4,19 +4,13 @@ Its layout is `templates/report.html.j2`. The plots are inline SVG by matplotlib
 the same numbers.
 """
 
-import io
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from functools import cache
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from angie.evaluation.definitions import IMAGES, MOTION
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from data_prep.page import drawing, page_template
 
 COLOURS = (
     "#1d2530", "#9aa4b2", "#d9774f", "#e0a020", "#4674c1", "#3a9d5d", "#8d5bb5", "#c2477f",
@@ -40,21 +34,6 @@ _SMALL = (5.6, 3.2)
 _WIDE = 11.4
 """Inches of 72 points: of a plot, and the width of the plot of activities."""
 
-_LOOK = {
-    "svg.hashsalt": "angie",  # else ids, and with them the file, differ from run to run
-    "svg.fonttype": "none",
-    "text.parse_math": False,
-    "font.family": "sans-serif",
-    "font.size": 8.5,
-    "text.color": "#556",
-    "axes.edgecolor": "#99a",
-    "axes.labelcolor": "#556",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "xtick.color": "#556",
-    "ytick.color": "#556",
-}
-
 
 def page(title: str, numbers: Mapping[str, Any]) -> str:
     """Lay out the report as HTML.
@@ -72,7 +51,7 @@ def page(title: str, numbers: Mapping[str, Any]) -> str:
         }
         for space in numbers["spaces"]
     ]
-    return _template().render(
+    return page_template("angie.evaluation", "report.html.j2").render(
         title=title,
         dataset=numbers["dataset"],
         spaces=spaces,
@@ -82,18 +61,6 @@ def page(title: str, numbers: Mapping[str, Any]) -> str:
         arrows=ARROWS,
         origin=_origin(numbers),
     )
-
-
-@cache
-def _template() -> Template:
-    environment = Environment(
-        loader=PackageLoader("angie.evaluation"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )
-    return environment.get_template("report.html.j2")
 
 
 def _missing(space: Mapping[str, Any]) -> dict[str, list[str]]:
@@ -149,35 +116,10 @@ def plots(space: Mapping[str, Any]) -> list[dict[str, str]]:
     return [{"title": title, "svg": Markup(svg)} for title, svg in figures]
 
 
-class _Drawing:
-    """A plot while it is drawn; `svg` holds the element afterwards."""
-
-    axes: Sequence["Axes"]
-    svg: str = ""
-
-
-@contextmanager
-def _drawing(width: float, height: float, panels: int = 1) -> Iterator[_Drawing]:
-    """Axes one below the other to draw into, of one x axis."""
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    drawing = _Drawing()
-    with matplotlib.rc_context(_LOOK):  # type: ignore[arg-type]
-        figure = Figure((width, height), layout="constrained")
-        grid = figure.subplots(panels, 1, sharex=True, squeeze=False)
-        drawing.axes = list(grid[:, 0])
-        yield drawing
-        file = io.StringIO()
-        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
-    text = file.getvalue()
-    drawing.svg = text[text.index("<svg") :]
-
-
 def _dots(rows: Sequence[Mapping[str, Any]], key: str, digits: int) -> str:
     """One dot a row, with its interval where there is one; a row without a value says so."""
-    with _drawing(_SMALL[0], 0.32 * len(rows) + 0.3) as drawing:
-        (axes,) = drawing.axes
+    with drawing(_SMALL[0], 0.32 * len(rows) + 0.3) as plot:
+        (axes,) = plot.axes
         for index, row in enumerate(rows):
             value, half = row["scores"][key]["mean"], row["scores"][key]["interval"]
             if value is None:
@@ -195,28 +137,28 @@ def _dots(rows: Sequence[Mapping[str, Any]], key: str, digits: int) -> str:
         axes.tick_params("y", length=0)
         axes.xaxis.set_visible(False)
         axes.spines[["left", "bottom"]].set_visible(False)
-    return drawing.svg
+    return plot.svg
 
 
 def _lines(
     curves: Sequence[tuple[Sequence[float], Sequence[float | None]]], x_label: str, y_label: str
 ) -> str:
     """A curve a row, x and y of each; a None leaves a gap."""
-    with _drawing(*_SMALL) as drawing:
-        (axes,) = drawing.axes
+    with drawing(*_SMALL) as plot:
+        (axes,) = plot.axes
         for index, (x, y) in enumerate(curves):
             axes.plot(x, [float("nan") if v is None else v for v in y], color=colour(index))
         axes.set(xlabel=x_label, ylabel=y_label)
         axes.set_ylim(bottom=0)
         axes.margins(x=0)
-    return drawing.svg
+    return plot.svg
 
 
 def _activities(curves: Mapping[str, Sequence[float]], onsets: Sequence[float], fps: float) -> str:
     """How much moves over time, a panel a row, with the onsets of the sound as lines."""
     top = max((max(curve, default=0) for curve in curves.values()), default=0) or 1.0
-    with _drawing(_WIDE, 0.75 * len(curves) + 0.5, max(len(curves), 1)) as drawing:
-        for index, (axes, name) in enumerate(zip(drawing.axes, curves, strict=False)):
+    with drawing(_WIDE, 0.75 * len(curves) + 0.5, max(len(curves), 1)) as plot:
+        for index, (axes, name) in enumerate(zip(plot.axes, curves, strict=False)):
             for onset in onsets:
                 axes.axvline(onset, color="#e8d9b0", lw=1, zorder=0)
             seconds = [frame / fps for frame in range(len(curves[name]))]
@@ -225,5 +167,5 @@ def _activities(curves: Mapping[str, Sequence[float]], onsets: Sequence[float], 
             axes.set_yticks([])
             axes.set_ylabel(name[:NAME], rotation=0, ha="right", va="center")
             axes.margins(x=0)
-        drawing.axes[-1].set_xlabel("s")
-    return drawing.svg
+        plot.axes[-1].set_xlabel("s")
+    return plot.svg

@@ -110,7 +110,8 @@ def test_the_page_stands_alone_and_is_the_same_every_time(summary: Summary, tmp_
         assert text in page
     assert page.count("data:image/jpeg;base64,") == 1
     assert "&lt;b&gt;odd&lt;/b&gt; &amp; more" in page and "<script" not in page
-    assert not re.search(r"(?:src|href)='(?!data:)", page)
+    assert not re.search(r"""(?:src|href)=["'](?!data:|#)""", page)
+    assert page.count("<svg") == 3
     write_report(tmp_path, summary)
     assert (tmp_path / "report.html").read_text() == page
 
