@@ -29,7 +29,6 @@ from data_prep.speech.words import Word, read_words, slice_words
 MAX_BYTES = 25_000
 """Most that a frame takes on average."""
 
-
 _QUALITIES = (92, 88, 84, 78, 70, 60)
 
 
@@ -116,12 +115,9 @@ class FrameStore:
 FORMAT = 2
 """Version of the layout; a newer one is refused."""
 
-
 MANIFEST = "dataset.json"
 
-
 TABLE = "meta.csv"
-
 
 COLUMNS = ("clip_id", "speaker", "split", "source", "start", "fps", "n_frames", "duration")
 

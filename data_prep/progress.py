@@ -72,9 +72,7 @@ def progress(
 MOST = 61 if sys.platform == "win32" else 512
 """Processes of one pool; Windows cannot wait for more."""
 
-
 Task = TypeVar("Task")
-
 
 Result = TypeVar("Result")
 

@@ -25,7 +25,6 @@ from data_prep.rates import SAMPLE_RATE
 AUDIBLE = 10 ** (-60 / 20)
 """Level, of full scale, that a track must reach somewhere."""
 
-
 _LISTEN = 120.0
 """Seconds of a track that are listened to at most."""
 
@@ -82,17 +81,13 @@ def _reaches(container: InputContainer, stream: AudioStream, level: float) -> bo
 MAX_GAP = 0.05
 """Seconds by which timestamps may wander before silence is put in or samples are taken out."""
 
-
 _DECLARED_LENGTH = ("w64", "flac", "mov", "caf", "aiff")
 """Containers whose header counts the samples, so that a file cut short can be told."""
-
 
 _WITHOUT_GAPS = ("flac", "ogg")
 """Containers in which a gap of the timestamps means that a part was lost."""
 
-
 _MAX_CHANNELS = 2
-
 
 _KNOWN_LAYOUT = {1: "mono", 2: "stereo", 3: "3.0", 4: "quad", 5: "5.0", 6: "5.1", 8: "7.1"}
 

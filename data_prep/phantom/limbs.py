@@ -84,7 +84,6 @@ def shading(nx: Array, ny: Array, light: tuple[float, float, float], ambient: fl
 _ROW = 32_000
 """Longest row that cv2 takes."""
 
-
 _WARM = (0.18, 0.0, -0.1)
 """How much redder skin is in half shadow, by channel."""
 
@@ -228,7 +227,6 @@ def arm(
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 """Order of the curls of a hand shape."""
 
-
 SHAPES: dict[str, tuple[float, ...]] = {
     "relaxed": (0.35, 0.28, 0.34, 0.40, 0.46, 0.35),
     "open": (0.05, 0.02, 0.00, 0.02, 0.05, 1.15),
@@ -242,15 +240,11 @@ SHAPES: dict[str, tuple[float, ...]] = {
 }
 """Curl of each finger, 0 straight to 1 folded, and the spread between fingers."""
 
-
 _BASE = np.array([(9, 11), (28, 9.5), (29.5, 3.4), (28.5, -3.0), (26, -9.0)], np.float32)
-
 
 _LENGTH = np.array([25, 28, 31, 28, 22], np.float32)
 
-
 _RADIUS = np.array([5.4, 4.7, 4.8, 4.5, 4.0], np.float32)
-
 
 _SPLAY = np.array([0.0, 0.17, 0.03, -0.11, -0.27], np.float32)
 

@@ -141,7 +141,6 @@ def bump(x: Array, y: Array, cx: float | Array, cy: float | Array, sx: float, sy
 TILE = 256
 """Side of a texture tile in pixels; tiles repeat without a seam."""
 
-
 CLOTHS = ("plain", "stripes", "bands", "checks", "herringbone", "knit", "dots", "tweed", "leaves")
 """Names of the cloth patterns."""
 

@@ -73,7 +73,6 @@ _SONORANTS = {  # targets, level, bandwidth scale, duration, opening, spread
     "Y": ((270, 2250, 2950), 0.58, 1.2, 0.06, 0.2, 0.9),
 }  # fmt: skip
 
-
 _CODA = 0.4
 """Level of noise that ends a syllable over that of noise that begins it."""
 

@@ -25,22 +25,16 @@ JOINTS = (
 )  # fmt: skip
 """Names of the joints, in the order of every array of joints."""
 
-
 SIDES = np.array([-1.0, 1.0], np.float32)
 """Sign of x of the presenter's right and left side."""
 
-
 UPPER_ARM, FOREARM, PALM = 124.0, 108.0, 30.0
-
 
 _PIVOT = np.array([0.0, 190.0])
 
-
 _NECK = np.array([0.0, -24.0])
 
-
 _CAMERA = 950.0
-
 
 _NECK_ROW = 159.0
 
@@ -164,7 +158,6 @@ def joints(course: Course, look: Look, place: Setting, width: int) -> Joints:
 
 ACTIVE = ("right_wrist", "right_hand", "left_wrist", "left_hand")
 """Joints whose motion is scored."""
-
 
 LEVEL = 0.05
 """Share of a movement's largest speed at which it counts as begun."""

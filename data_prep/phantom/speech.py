@@ -23,18 +23,14 @@ from data_prep.rates import FPS
 RATE = 24_000
 """Samples a second of the synthetic speech."""
 
-
 CONTROL = 200
 """Control frames a second."""
-
 
 _FINER = 3
 """Settings of the formants for each control frame."""
 
-
 _UPPER = np.array([3400.0, 4300.0, 5500.0, 7000.0])
 """Formants above the third, hertz, the same for every phone."""
-
 
 _BLOCK = RATE // CONTROL
 
@@ -131,14 +127,11 @@ def synthesise(controls: Controls, voice: Voice, rng: np.random.Generator) -> ND
 _PACE = 0.76
 """Speed of a voice of rate 1 over that of the phones' own durations."""
 
-
 ROOM = 0.0004
 """Level of the room's noise."""
 
-
 _APART = 0.18
 """Seconds between syllables that movement can keep up with."""
-
 
 LEAD = 0.6
 """Seconds of silence before the first word."""

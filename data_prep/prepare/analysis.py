@@ -16,26 +16,20 @@ from data_prep.speaker.tracking import FaceFollower, Sighting
 
 _SIDE = 480
 
-
 _DARKEST = 40
 """Grey level that a bar has at most."""
-
 
 _NOISE = 8
 """Grey levels by which a bar's pixels may stray over time and place."""
 
-
 _EDGE = 0.4
 """Part of a bar's length along which the picture beside it must be lit at some time."""
-
 
 _MOST = 0.4
 """Part of the picture's height or width that one bar has at most."""
 
-
 _STEP = 5
 """Frames of which one is looked at; bars are there in all of them."""
-
 
 _SECTION = 750
 """Frames after which bars are looked for anew."""

@@ -40,9 +40,7 @@ from data_prep.speech.words import Word
 
 SOUND_OVER = "after the end of the sound"
 
-
 _SILENT = "--silent-ok keeps it for training the renderer"
-
 
 _REMEDIES = {
     TWO_PEOPLE: "choose with --person left, right or largest, or give --crop x,y,size",

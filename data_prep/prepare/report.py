@@ -79,7 +79,7 @@ def _plot(entry: Mapping[str, list[float]]) -> Markup:
     if not entry["counts"]:
         return Markup("")
     edges, (median,) = entry["edges"], entry["median"]
-    with drawing(4.7, 1.8) as plot:
+    with drawing(3.5, 1.4) as plot:
         (axes,) = plot.axes
         axes.bar(edges[:-1], entry["counts"], np.diff(edges), align="edge", color="#4674c1")
         axes.axvline(median, color="#d9774f")

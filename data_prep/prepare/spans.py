@@ -22,20 +22,15 @@ from data_prep.speaker.tracking import Sighting, Track, link, presence
 SHORTEST = 4 * FPS
 """Frames of the shortest clip that is planned (ANGIE's clips have 4 to 14 s)."""
 
-
 USUAL = 10 * FPS
 """Frames of a clip where the sound does not ask for another length."""
 
-
 LONGEST = 14 * FPS
-
 
 MIN_FRAMES = 97
 """A clip with fewer frames gives no window of 96 frame-to-frame differences."""
 
-
 _SMOOTHING = FPS // 5
-
 
 _FLOOR_DB = -80.0
 
@@ -86,32 +81,23 @@ def clip_bounds(
 
 TOO_SHORT = f"shorter than {MIN_FRAMES} frames"
 
-
 FADE = "a fade or flash"
-
 
 CAMERA = "camera moves"
 
-
 TWO_PEOPLE = "two people"
-
 
 NO_PERSON = "no person"
 
-
 SMALL_FACE = "face too small"
 
-
 NOT_FRONTAL = "not frontal"
-
 
 MIN_FACE = 40.0
 """Height of the smallest face in pixels of the original; the crop has then 168."""
 
-
 MIN_FRONTAL = 0.25
 """Part of the sightings in which the face must be seen from the front."""
-
 
 _SAME_PLACE = 1.5
 """Distance in face heights within which a face that is lost and found is the same person's."""

@@ -31,7 +31,6 @@ GAP = 75
 _FEWEST, _SHARE = 3, 0.3
 """Sightings that make a person, and the part of the looks in which there must be one."""
 
-
 _JUMP = 0.75
 """Way of a face, in its heights, between two looks, that no speaker makes."""
 

@@ -33,25 +33,19 @@ from data_prep.speech.words import (
 HOP = SAMPLE_RATE // 100
 """Samples of one step of the voice detector, 10 ms."""
 
-
 SHORTEST = 10
 """Steps, 0.1 s: a shorter voiced stretch is noise, a shorter pause belongs to the voice."""
-
 
 LIFT = 0.15
 """Threshold above the noise floor, in parts of the way to the loud steps."""
 
-
 _FLOOR, _LOUD = 10, 95
 """Percentiles of the level that stand for the noise floor and for loud speech."""
-
 
 _REACH = 1.0
 """Seconds of voiced time by which a phrase's end is moved to meet a pause."""
 
-
 _VOWELS = re.compile(r"[aeiouyаеёиоуыэюяєіїαεηιουω]+")
-
 
 _PHRASE_END = re.compile(r"[.,;:!?…][\"'”’)]*$")
 
@@ -149,25 +143,18 @@ def _real_time(
 ENDINGS = ("words.json", "TextGrid", "ctm", "json", "vtt", "srt", "fragments.json", "txt")
 """Endings after a video's stem, best first; a language may stand before (`talk.en.vtt`)."""
 
-
 _LANGUAGE = r"(?:[a-z]{2,3}(?:-[\w-]+)?\.)?"
-
 
 _PROMPT = re.compile(r"\s*(\d+)\s+(\d+)\s+(?=\D)")
 """First and last sample, which corpora in TIMIT's style put before the text."""
 
-
 _LISTS = ("words", "w", "segments", "fragments", "results", "result", "monologues", "elements")
-
 
 _TEXTS = ("word", "text", "content", "value", "t", "lines", "transcript")
 
-
 _STARTS = ("start", "begin", "startTime", "start_time", "b", "ts")
 
-
 _ENDS = ("end", "endTime", "end_time", "e", "end_ts")
-
 
 _LENGTHS = ("duration", "dur", "d")
 

@@ -65,10 +65,8 @@ def slice_words(words: list[Word], start: float, end: float) -> list[Word]:
 _MARKUP = re.compile(r"<[^>]*>|\{\\[^}]*\}|\[[^\]]*\]|\([^)]*\)|♪")
 """Tags, override codes, and what is no speech: [music], (applause)."""
 
-
 _NOT_WORDS = frozenset({"sil", "sp", "spn", "nsn", "noi", "unk", "#"})
 """Labels by which aligners mark silence and noise; only where a cue is a single word."""
-
 
 _VARIANT = re.compile(r"\(\d+\)$")
 
@@ -127,12 +125,9 @@ def spread(cues: list[Cue]) -> list[Word]:
 
 _TIME = r"(?:(\d+):)?(\d{1,2}):(\d{1,2})[.,](\d{1,3})"
 
-
 _LINE = re.compile(rf"\s*{_TIME}\s*-->\s*{_TIME}")
 
-
 _STAMP = re.compile(rf"<{_TIME}>")
-
 
 _INSTANT = 0.05
 """Automatic captions hold a line for such a moment before it rolls up."""
