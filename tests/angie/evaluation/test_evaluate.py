@@ -15,7 +15,7 @@ from angie.evaluation.videos import padded
 from data_prep.errors import BadInput
 from data_prep.media.video import VideoWriter, probe
 
-QUICK = {"fgd_steps": 5, "aed_steps": 5, "image_stride": 60, "videos_shown": 0}
+QUICK = {"fgd_steps": 5, "aed_steps": 5, "image_stride": 200, "videos_shown": 0}
 
 
 @pytest.fixture(scope="module")
