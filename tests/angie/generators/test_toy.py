@@ -8,17 +8,20 @@ import shutil
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+import soundfile
 import torch
 import toy
 
-from angie.bundle import Bundle
+from angie.bundle import PHOTO, Bundle
 from angie.cli import main
 from angie.evaluation.evaluate import evaluate
 from angie.evaluation.networks import EvaluationConfig
 from angie.evaluation.space import open_space
 from angie.generators import GENERATORS, family, names
 from data_prep.errors import BadInput
+from data_prep.media.video import probe
 from data_prep.speech.features import Speech
 from data_prep.speech.words import Word
 
@@ -118,6 +121,22 @@ def test_it_is_scored_beside_angie_and_alone(both, dataset, tmp_path):
     )  # fmt: skip
     table = (tmp_path / "alone" / "table.csv").read_text()
     assert status == 0 and ",both," in table and "angie" not in table
+
+
+def test_the_command_takes_it_by_its_name(both, tmp_path, monkeypatch):
+    lengths, generate = [], toy.ToyGenerator.generate_own
+
+    def counted(self, speech, start, frames, **options):
+        lengths.append(frames)
+        return generate(self, speech, start, frames, **options)
+
+    monkeypatch.setattr(toy.ToyGenerator, "generate_own", counted)
+    soundfile.write(tmp_path / "speech.wav", np.sin(np.arange(16_000) / 9), 16_000)
+    video = tmp_path / "video.mp4"
+    words = ["animate", PHOTO, tmp_path / "speech.wav", "--speaker", both.folder, "-o", video]
+    assert command(*words, "--generator", "robot") == 2 and not video.exists()
+    assert command(*words, "--generator", "toy") == 0
+    assert lengths == [16] and probe(video).duration == pytest.approx(1, abs=0.05)
 
 
 def test_a_package_brings_its_family_by_an_entry_point(tmp_path, monkeypatch):
