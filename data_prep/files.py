@@ -1,8 +1,11 @@
 """Outputs appear whole or not at all: written beside their place, then moved there."""
 
+import atexit
 import os
 import secrets
 import shutil
+import sys
+import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -130,3 +133,30 @@ def locked(folder: Path, what: Path) -> Iterator[None]:
         yield
     finally:
         lock.release()
+
+
+def numba_cache() -> None:
+    """Let numba keep what it compiles in a folder of the user's own; call before it compiles.
+
+    Numba itself keeps it beside the code, where another user may have left what this one cannot
+    read, and fails where neither that nor the home folder can be written. The folder is
+    NUMBA_CACHE_DIR if that is set, else `angie/numba` in the user's cache, or a temporary one where
+    that cannot be written. Where nothing can be written it is left to numba.
+    """
+    if "NUMBA_CACHE_DIR" in os.environ:
+        return
+    try:
+        cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        folder = Path(cache) / "angie" / "numba"
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except (OSError, RuntimeError):  # RuntimeError: there is no home
+        try:
+            folder = Path(tempfile.mkdtemp(prefix="angie-numba-"))
+        except OSError:
+            return
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    os.environ["NUMBA_CACHE_DIR"] = str(folder)
+    if "numba" in sys.modules:  # which read the environment when it was imported
+        sys.modules["numba"].config.CACHE_DIR = str(folder)

@@ -6,9 +6,8 @@ The plain path is MRAA's as a reader would write it, kept here: batches of one i
 source encoded anew for every frame. All ways are timed in turn in one run, several rounds, and
 each shows its best. Weights are random with the scale of trained ones (norms that have seen the
 photo, logits so large that poses differ about as much as a trained renderer's, by 20 dB), or
-those of a bundle. GFLOP are those that are really computed; the share is of the machine's matrix
-rate in that type, measured here as well. PSNR is that of the pictures before they are rounded to
-8 bits. Prints a table for each renderer.
+those of a bundle. PSNR is that of the pictures before they are rounded to 8 bits. Prints a table
+for each renderer.
 """
 
 import angie.cli  # noqa: F401 (how OpenMP's threads wait; before torch is imported)
@@ -27,9 +26,6 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
 
-import mraa.fast.convolution
-import mraa.fast.flow
-import mraa.fast.winograd
 from angie.bundle import PHOTO, Bundle
 from angie.config import preset
 from data_prep.media.photo import read_photo
@@ -109,10 +105,8 @@ class Way:
     draw: Callable[[], object]
     frames: int
     """Drawn by one call."""
-    dtype: torch.dtype
     parts: Callable[[], list[Parts]] | None = None
     """Draws the first frames in parts, to be compared; None for the plain way."""
-    session: bool = True
     seconds: float = float("inf")
     """A frame, the best of all rounds."""
     worked: float = float("inf")
@@ -161,31 +155,6 @@ def one_by_one(draw: Accelerated, motion: Regions) -> list[Parts]:
     return [draw(motion[i : i + 1], still, True) for i in range(len(motion.shift))]
 
 
-def count_products(counted: list[float]) -> None:
-    """Add up the floating point operations of the session's convolutions from here on."""
-    direct, minimal = (
-        mraa.fast.convolution.Convolution.__call__,
-        mraa.fast.winograd.Winograd.__call__,
-    )
-
-    def convolve(
-        self: mraa.fast.convolution.Convolution, x: Tensor, kept: Tensor | None = None
-    ) -> Tensor:
-        y = direct(self, x, kept)
-        counted[0] += 2.0 * y.numel() * x.shape[1] * self.taps
-        return y
-
-    def filtered(
-        self: mraa.fast.winograd.Winograd, x: Tensor, kept: Tensor | None = None
-    ) -> Tensor:
-        y = minimal(self, x, kept)
-        counted[0] += 2.0 * y.numel() / self.m**2 * len(self.matrices) * x.shape[1]
-        return y
-
-    mraa.fast.convolution.Convolution.__call__ = convolve  # type: ignore[method-assign]
-    mraa.fast.winograd.Winograd.__call__ = filtered  # type: ignore[method-assign]
-
-
 def matrix_rate(dtype: torch.dtype, threads: int) -> float:
     """GFLOP/s of large matrix products, one a thread, the best of several."""
     size, best = 1536, 0.0
@@ -222,46 +191,38 @@ def blended(renderer: Renderer, photo: Tensor, parts: list[Parts]) -> Tensor:
 
 
 def sessions(renderer: Renderer, photo: Tensor, source: Regions) -> list[tuple[str, RenderSession]]:
-    """The session with its rewrites one after the other."""
-    ways = [("fp32", False, "warp and blend in one pass, a frame a core"),
-            ("fp32", True, "kernels of 3 and 2 by minimal filtering")]  # fmt: skip
+    """The session without compiled kernels, with them, and in bfloat16."""
+    ways = [("fp32", False, "session without compiled kernels"),
+            ("fp32", True, "compiled kernels, a frame a core, minimal filtering")]  # fmt: skip
     if native_bf16(CPU):
         ways.append(("bf16", True, "bfloat16, masks and warps in float32"))
-    made = []
-    for precision, filtering, text in ways:
-        for module in (mraa.fast.convolution, mraa.fast.flow):
-            module.fits = mraa.fast.winograd.fits if filtering else lambda kernel, shape: False
-        session = RenderSession(renderer, photo, source, precision=precision)
-        made.append((f"{text} ({precision})", session))
-    return made
+    return [
+        (f"{text} ({precision})",
+         RenderSession(renderer, photo, source, precision=precision, kernels=kernels))
+        for precision, kernels, text in ways
+    ]  # fmt: skip
 
 
 def bench(name: str, renderer: Renderer, photo: Tensor, count: int) -> None:
     """Print the table of one renderer."""
-    threads = torch.get_num_threads()
     with torch.no_grad():
         source = renderer.estimator(photo)
         opened = renderer.open(photo, source)
     motion = poses(renderer, source, count)
     few = motion[: max(2, count // 4)]
-    peaks = {torch.float32: matrix_rate(torch.float32, threads)}
-    if native_bf16(CPU):
-        peaks[torch.bfloat16] = matrix_rate(torch.bfloat16, threads)
     folded = Accelerated(renderer, opened, 1, torch.float32)
     phased = with_phases(Accelerated(renderer, opened, 1, torch.float32))
-    ways = [
-        Way("plain", lambda: plain(renderer, photo, source, few), len(few.shift), torch.float32)
-    ]
+    ways = [Way("plain", lambda: plain(renderer, photo, source, few), len(few.shift))]
     for text, drawer in (
         ("source once, norms folded, channels last", folded),
         ("doubling behind the convolution", phased),
     ):
         draw = partial(one_by_one, drawer, few)
-        ways.append(Way(text, draw, len(few.shift), torch.float32, draw, session=False))
+        ways.append(Way(text, draw, len(few.shift), draw))
     for text, session in sessions(renderer, photo, source):
         draw = partial(drawn, session, motion)
         parts = partial(in_parts, session, motion[:8])
-        ways.append(Way(text, draw, count, session.dtype, parts))
+        ways.append(Way(text, draw, count, parts))
     for _ in range(ROUNDS):
         for way in ways:
             begun, worked = time.perf_counter(), time.process_time()
@@ -269,7 +230,7 @@ def bench(name: str, renderer: Renderer, photo: Tensor, count: int) -> None:
             way.worked = min(way.worked, (time.process_time() - worked) / way.frames)
             way.seconds = min(way.seconds, (time.perf_counter() - begun) / way.frames)
     wanted = torch.cat(plain(renderer, photo, source, motion[:8]))
-    report(name, renderer, photo, wanted, ways, peaks)
+    report(name, renderer, photo, wanted, ways)
 
 
 def drawn(session: RenderSession, motion: Regions) -> int:
@@ -282,38 +243,22 @@ def in_parts(session: RenderSession, motion: Regions) -> list[Parts]:
     return list(session.parts(motion))
 
 
-def report(
-    name: str,
-    renderer: Renderer,
-    photo: Tensor,
-    wanted: Tensor,
-    ways: list[Way],
-    peaks: dict[torch.dtype, float],
-) -> None:
-    """Count operations, compare pictures with the wanted ones, print."""
-    rates = ", ".join(f"{str(d)[6:]} {rate:.0f} GFLOP/s" for d, rate in peaks.items())
-    print(f"\n### {name}: {torch.get_num_threads()} threads, matrix rate {rates}\n")
-    print("| step | ms a frame | fps | times plain | processor ms | GFLOP | of the rate | PSNR |")
-    print("|---|---|---|---|---|---|---|---|")
-    counted = [0.0]
-    count_products(counted)
+def report(name: str, renderer: Renderer, photo: Tensor, wanted: Tensor, ways: list[Way]) -> None:
+    """Compare pictures with the wanted ones, print."""
+    threads = torch.get_num_threads()
+    types = [torch.float32] + ([torch.bfloat16] if native_bf16(CPU) else [])
+    rates = ", ".join(f"{str(d)[6:]} {matrix_rate(d, threads):.0f} GFLOP/s" for d in types)
+    print(f"\n### {name}: {threads} threads, matrix rate {rates}\n")
+    print("| step | ms a frame | fps | times plain | processor ms | PSNR |")
+    print("|---|---|---|---|---|---|")
     for way in ways:
-        quality, frames = "", way.frames
-        with FlopCounterMode(display=False) as flops:
-            counted[0] = 0.0
-            if way.parts is None:
-                way.draw()
-            else:
-                parts = way.parts()
-                found = blended(renderer, photo, parts)
-                quality, frames = f"{psnr(found, wanted[: len(found)]):.1f}", len(found)
-        operations = (counted[0] if way.session and way.parts else flops.get_total_flops()) / 1e9
-        operations /= frames
-        share = operations / way.seconds / peaks[way.dtype]
+        quality = ""
+        if way.parts is not None:
+            found = blended(renderer, photo, way.parts())
+            quality = f"{psnr(found, wanted[: len(found)]):.1f}"
         print(
             f"| {way.text} | {1000 * way.seconds:.1f} | {1 / way.seconds:.2f} "
-            f"| {ways[0].seconds / way.seconds:.2f} | {1000 * way.worked:.1f} "
-            f"| {operations:.1f} | {share:.0%} | {quality} |",
+            f"| {ways[0].seconds / way.seconds:.2f} | {1000 * way.worked:.1f} | {quality} |",
             flush=True,
         )
 

@@ -9,6 +9,7 @@ runs at the float32 rate of the cores, which only bfloat16 products, summed in f
 import torch
 from torch import Tensor, nn
 
+from mraa.fast import enabled
 from mraa.training.devices import native_bf16
 
 ROWS = 33
@@ -53,7 +54,7 @@ class PackedLinear(nn.Module):
 
 def can_pack(dtype: torch.dtype = torch.float32) -> bool:
     """Whether this build of PyTorch has what `PackedLinear` calls, and it computes."""
-    if not torch.backends.mkldnn.is_available():
+    if not enabled() or not torch.backends.mkldnn.is_available():
         return False
     try:
         layer = PackedLinear(nn.Linear(16, 16), gelu=True, dtype=dtype)

@@ -3,10 +3,8 @@
 What concerns onsets is librosa's; the cepstra are those of python_speech_features.
 """
 
-import atexit
 import functools
 import importlib
-import tempfile
 from collections.abc import Callable
 from types import ModuleType
 from typing import Any
@@ -16,6 +14,7 @@ import soxr
 from numpy.typing import NDArray
 from scipy.fft import dct
 
+from data_prep.files import numba_cache
 from data_prep.rates import (
     SAMPLE_RATE,
     SAMPLES_PER_FRAME,
@@ -70,9 +69,9 @@ def load_librosa() -> ModuleType:
     """Librosa with its beat tracker, imported when first needed.
 
     Numba keeps on disk what it compiles for librosa; of the beat tracker librosa leaves that out,
-    which costs each run one to two seconds, so it is asked for here. Where no folder for it can be
-    written, every run compiles.
+    which costs each run one to two seconds, so it is asked for here.
     """
+    numba_cache()
     import numba
 
     compile_ufunc = numba.guvectorize
@@ -82,11 +81,6 @@ def load_librosa() -> ModuleType:
 
     numba.guvectorize = kept
     try:
-        importlib.import_module("librosa.beat")
-    except RuntimeError:  # numba found no folder that it can write to
-        folder = tempfile.TemporaryDirectory()
-        atexit.register(folder.cleanup)
-        setattr(numba.config, "CACHE_DIR", folder.name)  # noqa: B010
         importlib.import_module("librosa.beat")
     finally:
         numba.guvectorize = compile_ufunc

@@ -86,7 +86,7 @@ def same_convolution(
     line: Line | None = None,
 ) -> "Convolution | Winograd":
     """A convolution that keeps height and width, done the fastest way; arguments as above."""
-    if fits(kernel, shape):
-        return Winograd(kernel, dtype=dtype, relu=relu, line=line)
+    if fits(kernel, shape, dtype):
+        return Winograd(kernel, relu=relu, line=line)
     padding = kernel.weight.shape[-1] // 2
     return Convolution(kernel, shape, dtype=dtype, padding=padding, relu=relu, line=line)

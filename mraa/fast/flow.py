@@ -86,8 +86,8 @@ def up_convolution(
     """An `UpBlock` as one convolution to phases, for inputs of B, h, w `at`."""
     kernel = doubling(fold(block.conv, block.norm))
     shape = (at[0], kernel.weight.shape[1], *at[1:])
-    if fits(kernel, shape):
-        return Winograd(kernel, dtype=dtype)
+    if fits(kernel, shape, dtype):
+        return Winograd(kernel)
     return Convolution(kernel, shape, dtype=dtype, padding=1)
 
 
@@ -114,7 +114,7 @@ class FoldedFlow:
         self.shape = (count, 4 * (regions.shift.shape[1] + 1), height, width)
         self.dtype, self.corners = dtype, predictor.align_corners
         self.revert = predictor.revert_axis_swap
-        self.small = warp_kernel.framed(small[0].permute(1, 2, 0).numpy())
+        self.small = warp_kernel.planes(small[0].permute(1, 2, 0).numpy())
         self.regions = regions
         self.still = np.empty((height, regions.shift.shape[1], width), np.float32)
         warp_kernel.gaussians(regions.shift[0].numpy(), _precision(regions)[0], self.still)

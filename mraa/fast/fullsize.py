@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_prep.speaker.crop import Crop, cut_out
+from mraa.fast import enabled
 from mraa.fast.compiled import compiled
 from mraa.grid import coordinate_grid
 
@@ -156,6 +157,41 @@ def draw(
             out[j, i, 0] = np.uint8(min(max(red, np.float32(0.0)), most) + half)
             out[j, i, 1] = np.uint8(min(max(green, np.float32(0.0)), most) + half)
             out[j, i, 2] = np.uint8(min(max(blue, np.float32(0.0)), most) + half)
+
+
+def draw_plain(
+    photo: NDArray[np.uint8], origin: tuple[int, int], maps: NDArray[np.float32], maps_taps: "Taps",
+    painted: NDArray[np.float32], painted_taps: "Taps", fade_rows: NDArray[np.float32],
+    fade_columns: NDArray[np.float32], window: tuple[int, int], out: NDArray[np.uint8],
+) -> None:  # fmt: skip
+    """What `draw` does, by NumPy alone; a shift or occlusion too small to be seen counts too."""
+    height, width = photo.shape[:2]
+    rows, columns = (slice(a, a + n) for a, n in zip(window[::-1], out.shape[:2], strict=True))
+
+    def resized(image: NDArray[np.float32], places: "Taps") -> NDArray[np.float32]:
+        image = image.reshape(len(image), -1, 3)
+        place, weight = (part[rows] for part in places)
+        image = np.einsum("ik,ikwc->iwc", weight, image[place])
+        place, weight = (part[columns] for part in places)
+        return np.einsum("jk,ijkc->ijc", weight, image[:, place])
+
+    fade = (fade_rows[rows, None] * fade_columns[columns])[..., None]
+    shift, shown = np.split(resized(maps, maps_taps), [2], axis=2)
+    shown = 1 - (1 - shown.clip(0, 1)) * fade
+    shift *= fade
+    x = origin[0] + np.arange(columns.start, columns.stop) + shift[..., 0]
+    y = origin[1] + np.arange(rows.start, rows.stop)[:, None] + shift[..., 1]
+    x, y = x.clip(-4, width + 3), y.clip(-4, height + 3)
+    left, top = np.floor(x).astype(int), np.floor(y).astype(int)
+    across, down = _cubic(x - left), _cubic(y - top)
+    colour = np.zeros(out.shape, np.float64)
+    for j in range(4):
+        row = (top + j - 1).clip(0, height - 1)
+        for i in range(4):
+            column = (left + i - 1).clip(0, width - 1)
+            colour += (down[j] * across[i])[..., None] * photo[row, column]
+    colour += (resized(painted, painted_taps) - colour) * (1 - shown)
+    out[:] = (colour.clip(0, 255) + 0.5).astype(np.uint8)
 
 
 MARGIN = 1 / 8
@@ -330,7 +366,7 @@ class FullSize:
                 y + self.rows.start : y + self.rows.stop,
                 x + self.columns.start : x + self.columns.stop,
             ]
-        draw(
+        (draw if enabled() else draw_plain)(
             self.ground.photo,
             self.ground.origin,
             maps,

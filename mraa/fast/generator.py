@@ -1,11 +1,12 @@
-"""The image generators for inference on a CPU: folded, packed, channels last, one type.
+"""A renderer opened on one photo, for inference on a CPU: folded, packed, channels last, one type.
 
-They compute what `mraa.generator` computes for one source and B poses, up to the logits of the
-generated picture. Tensors are (B, C, H, W) with channels last in memory.
+The image generators compute what `mraa.generator` computes for one source and B poses, up to the
+logits of the generated picture. Tensors are (B, C, H, W) with channels last in memory.
 """
 
 from typing import Any
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -13,9 +14,11 @@ from torch import Tensor, nn
 from mraa.blocks import ResBlock
 from mraa.fast import warp_kernel
 from mraa.fast.convolution import Convolution, same_convolution
-from mraa.fast.flow import Field, Shape, empty, pixels, up_convolution
+from mraa.fast.flow import Field, FoldedFlow, Shape, empty, pixels, up_convolution
 from mraa.fast.folding import blocks, fold, norm_line
 from mraa.generator import DeepGenerator, ImageGenerator, LiteGenerator
+from mraa.regions import Regions
+from mraa.renderer import Parts, Renderer, Source
 
 
 class Features:
@@ -24,7 +27,8 @@ class Features:
     def __init__(self, features: Tensor, dtype: torch.dtype) -> None:
         self.dtype = dtype
         self.shape = features.shape[1:]
-        self.array = pixels(features.to(dtype, memory_format=torch.channels_last))[0]
+        bits = pixels(features.to(dtype, memory_format=torch.channels_last))[0]
+        self.array = warp_kernel.framed(bits)
 
     def blend(
         self, field: Field, generated: Tensor | None, lie: int, *, warped: bool = True
@@ -178,3 +182,41 @@ def fold_generator(
     if isinstance(generator, DeepGenerator):
         return FoldedDeep(generator, features, count, dtype)
     raise TypeError(f"no fast way to draw with a {type(generator).__name__}")
+
+
+class Folded:
+    """A renderer opened on one photo.
+
+    Args:
+        renderer: in eval mode.
+        source: what `Renderer.open` gave.
+        count: B, frames at once.
+        dtype: of the convolutions.
+    """
+
+    def __init__(self, renderer: Renderer, source: Source, count: int, dtype: torch.dtype) -> None:
+        self.size = source.image.shape[2:]
+        self.photo = warp_kernel.planes(source.image[0].permute(1, 2, 0).numpy())
+        self.flow = FoldedFlow(renderer.flow, source.small, source.regions, count, dtype)
+        self.generator = fold_generator(renderer.generator, source.features, count, dtype)
+
+    @torch.no_grad()
+    def __call__(self, driving: Regions, background: Tensor, painted: bool) -> Parts:
+        """Draw B frames; without `painted` the generated picture is left out (of size 0)."""
+        field = self.flow(driving, background)
+        logits = self.generator(field)
+        count, (height, width) = len(field.flow), self.size
+        made = np.empty((count, 3, height, width) if painted else (0, 3, 0, 0), np.float32)
+        frames = np.empty((count, height, width, 3), np.uint8)
+        warp_kernel.picture(
+            self.photo,
+            field.flow,
+            field.occlusion,
+            field.corners,
+            pixels(logits),
+            self.generator.skips,
+            made,
+            frames,
+        )
+        flow, occlusion = torch.from_numpy(field.flow), torch.from_numpy(field.occlusion)
+        return Parts(flow, occlusion[:, None], torch.from_numpy(made), frames)

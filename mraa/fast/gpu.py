@@ -1,7 +1,8 @@
-"""The renderer on a GPU: norms folded, channels last, half precision, batches, a CUDA graph.
+"""The renderer by PyTorch alone: norms folded, channels last, half precision, batches.
 
-Coordinates, masks and warps stay float32, as `mraa.flow` and `mraa.grid` have it. Not measured:
-no GPU was at hand when this was written; its results are tested on a CPU.
+On a GPU the work of a batch is recorded as a CUDA graph; a CPU draws this way where compiled
+kernels are off. Coordinates, masks and warps stay float32, as `mraa.flow` and `mraa.grid` have it.
+Not measured on a GPU: none was at hand when this was written.
 """
 
 import copy
@@ -43,7 +44,7 @@ def _fold_into(block: nn.Module, conv: str, norm: str) -> None:
 
 
 class Accelerated:
-    """A renderer opened on one photo, on a GPU.
+    """A renderer opened on one photo.
 
     Args:
         renderer: in eval mode; copied.

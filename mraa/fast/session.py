@@ -1,63 +1,19 @@
-"""The render session: one photo opened, motion in, frames out, as fast as the device can.
-
-A renderer opened on one photo, for inference on a CPU.
-"""
+"""The render session: one photo opened, motion in, frames out, as fast as the device can."""
 
 import copy
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from mraa.fast import warp_kernel
-from mraa.fast.flow import FoldedFlow, pixels
-from mraa.fast.generator import fold_generator
+from mraa.fast import enabled
 from mraa.fast.gpu import Accelerated
 from mraa.regions import Regions
-from mraa.renderer import Parts, Renderer, Source
+from mraa.renderer import Parts, Renderer
 from mraa.training.devices import choose_precision
-
-
-class Folded:
-    """A renderer opened on one photo, on a CPU.
-
-    Args:
-        renderer: in eval mode.
-        source: what `Renderer.open` gave.
-        count: B, frames at once.
-        dtype: of the convolutions.
-    """
-
-    def __init__(self, renderer: Renderer, source: Source, count: int, dtype: torch.dtype) -> None:
-        self.size = source.image.shape[2:]
-        self.photo = warp_kernel.framed(source.image[0].permute(1, 2, 0).numpy())
-        self.flow = FoldedFlow(renderer.flow, source.small, source.regions, count, dtype)
-        self.generator = fold_generator(renderer.generator, source.features, count, dtype)
-
-    @torch.no_grad()
-    def __call__(self, driving: Regions, background: Tensor, painted: bool) -> Parts:
-        """Draw B frames; without `painted` the generated picture is left out (of size 0)."""
-        field = self.flow(driving, background)
-        logits = self.generator(field)
-        count, (height, width) = len(field.flow), self.size
-        made = np.empty((count, 3, height, width) if painted else (0, 3, 0, 0), np.float32)
-        frames = np.empty((count, height, width, 3), np.uint8)
-        warp_kernel.picture(
-            self.photo,
-            field.flow,
-            field.occlusion,
-            field.corners,
-            pixels(logits),
-            self.generator.skips,
-            made,
-            frames,
-        )
-        flow, occlusion = torch.from_numpy(field.flow), torch.from_numpy(field.occlusion)
-        return Parts(flow, occlusion[:, None], torch.from_numpy(made), frames)
-
 
 BATCH = {"cpu": 4, "gpu": 16}
 """Frames drawn together."""
@@ -84,7 +40,9 @@ class RenderSession:
         precision: "auto", "fp32", "bf16" or "fp16": of the convolutions; coordinates, masks and
             warps are always float32. "auto" is the fastest that the device has natively.
         batch: frames drawn together; 0 for `BATCH` of the device.
-        workers: threads; 0 for as many as torch uses on a CPU, one on a GPU.
+        workers: threads that draw on a CPU; 0 for as many as torch uses. Without kernels, and on a
+            GPU, there is one.
+        kernels: whether a CPU uses compiled kernels; None for what `mraa.fast.enabled` says.
 
     Raises:
         ValueError: a photo that is not one picture, or a precision that the device has not.
@@ -100,6 +58,7 @@ class RenderSession:
         precision: str = "auto",
         batch: int = 0,
         workers: int = 0,
+        kernels: bool | None = None,
     ) -> None:
         if photo.ndim != 4 or len(photo) != 1 or photo.shape[1] != 3:
             raise ValueError(f"a photo is (1, 3, H, W), not {tuple(photo.shape)}")
@@ -107,13 +66,19 @@ class RenderSession:
         self.dtype = choose_precision(precision, self.device)
         on_cpu = self.device.type == "cpu"
         self.batch = batch or BATCH["cpu" if on_cpu else "gpu"]
-        self.workers = workers or (torch.get_num_threads() if on_cpu else 1)
+        self.folded = on_cpu and (enabled() if kernels is None else kernels)
+        self.workers = (workers or torch.get_num_threads()) if self.folded else 1
         if any(module.training for module in renderer.modules()):
             renderer = copy.deepcopy(renderer).eval()
         source = renderer.open(photo.float(), regions)
         self.regions = source.regions
-        drawer = Folded if on_cpu else Accelerated
-        self.draw = drawer(renderer, source, self.batch, self.dtype)
+        self.draw: Callable[[Regions, Tensor, bool], Parts]
+        if self.folded:
+            from mraa.fast.generator import Folded  # compiles
+
+            self.draw = Folded(renderer, source, self.batch, self.dtype)
+        else:
+            self.draw = Accelerated(renderer, source, self.batch, self.dtype)
 
     def frames(
         self, motion: Motion, background: Tensor | Iterable[Tensor] | None = None
@@ -144,7 +109,8 @@ class RenderSession:
         threads = torch.get_num_threads()
         running: deque[Future[Parts]] = deque()
         try:
-            with ThreadPoolExecutor(self.workers, initializer=_one_thread) as pool:
+            alone = _one_thread if self.folded else None
+            with ThreadPoolExecutor(self.workers, initializer=alone) as pool:
                 for pose in poses:
                     running.append(pool.submit(self._batch, *pose, painted))
                     if len(running) > self.workers:

@@ -12,9 +12,8 @@ import math
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic, overload
+from numba.extending import overload
 
 from mraa.fast.compiled import compiled
 
@@ -27,76 +26,44 @@ phase 2 i + j of place (y + i, x + j), as a 2x2 convolution with one pixel of pa
 
 
 def framed(image: np.ndarray) -> np.ndarray:
-    """A picture (H, W, 3) as planes (3, (H + 3) (W + 3)) with zeros around, where warps end."""
-    planes = np.pad(image.transpose(2, 0, 1), ((0, 0), (1, 2), (1, 2)))
-    return np.ascontiguousarray(planes, np.float32).reshape(3, -1)
+    """An array (H, W, C) with zeros around, where warps end: ((H + 3) (W + 3), C)."""
+    padded = np.pad(image, ((1, 2), (1, 2), (0, 0)))
+    return np.ascontiguousarray(padded).reshape(-1, image.shape[2])
 
 
-@intrinsic
-def _widened(typing: Any, bits: Any) -> Any:
-    """float32 of the bits of a bfloat16."""
-
-    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        word = ir.IntType(32)
-        shifted = builder.shl(builder.zext(arguments[0], word), ir.Constant(word, 16))
-        return builder.bitcast(shifted, ir.FloatType())
-
-    return types.float32(types.uint16), code
-
-
-@intrinsic
-def _rounded(typing: Any, value: Any) -> Any:
-    """Bits of the bfloat16 nearest to a float32, even on a tie."""
-
-    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        word = ir.IntType(32)
-        bits = builder.bitcast(arguments[0], word)
-        half = ir.Constant(word, 16)
-        odd = builder.and_(builder.lshr(bits, half), ir.Constant(word, 1))
-        bits = builder.add(builder.add(bits, odd), ir.Constant(word, 0x7FFF))
-        return builder.trunc(builder.lshr(bits, half), ir.IntType(16))
-
-    return types.uint16(types.float32), code
+def planes(image: np.ndarray) -> np.ndarray:
+    """A picture (H, W, 3) `framed`, colour by colour: (3, (H + 3) (W + 3)) float32."""
+    return np.ascontiguousarray(framed(image).T, np.float32)
 
 
 def _load(value: Any) -> Any:
-    raise NotImplementedError("exists compiled only")
+    """float32 of an activation, which is one or the bits of a bfloat16."""
+    return value
 
 
 def _like(value: Any, array: Any) -> Any:
-    raise NotImplementedError("exists compiled only")
-
-
-@overload(_load, inline="always")
-def _load_typed(value: Any) -> Any:
-    """float32 of an activation."""
-    if value == types.uint16:
-
-        def widened(value: Any) -> Any:
-            return _widened(value)  # type: ignore[call-arg]
-
-        return widened
-
-    def plain(value: Any) -> Any:
-        return value
-
-    return plain
-
-
-@overload(_like, inline="always")
-def _like_typed(value: Any, array: Any) -> Any:
     """A float32 as an activation of the type of `array`."""
-    if array.dtype == types.uint16:
+    return value
 
-        def rounded(value: Any, array: Any) -> Any:
-            return _rounded(np.float32(value))  # type: ignore[call-arg]
 
-        return rounded
+@compiled
+def _rounded(bits: int) -> int:
+    """Bits of the bfloat16 nearest to a float32 given by its bits, even on a tie."""
+    return np.uint16((bits + ((bits >> 16) & 1) + 0x7FFF) >> 16)
 
-    def plain(value: Any, array: Any) -> Any:
-        return value
 
-    return plain
+@overload(_load, inline="always", strict=False)
+def _load_compiled(value: Any) -> Any:
+    if value == types.uint16:
+        return lambda value: np.uint32(value << np.uint16(16)).view(np.float32)
+    return lambda value: value
+
+
+@overload(_like, inline="always", strict=False)
+def _like_compiled(value: Any, array: Any) -> Any:
+    if array.dtype != types.uint16:
+        return lambda value, array: value
+    return lambda value, array: _rounded(np.float32(value).view(np.uint32))
 
 
 @compiled
@@ -125,19 +92,6 @@ def _pixel(coordinate: float, size: int, corners: bool) -> float:
 
 
 @compiled
-def _taps(x: float, size: int) -> tuple[int, int, float, float]:
-    """Two neighbouring pixels inside the picture and their weights; 0 for one outside."""
-    x = min(max(x, np.float32(-2.0)), np.float32(size + 1))  # far outside is outside
-    low = math.floor(x)
-    part = x - np.float32(low)
-    first, last = np.int64(low), np.int64(low) + 1
-    weight0 = np.float32(1.0) - part if 0 <= first < size else np.float32(0.0)
-    weight1 = part if 0 <= last < size else np.float32(0.0)
-    inside0, inside1 = min(max(first, 0), size - 1), min(max(last, 0), size - 1)
-    return np.uintp(inside0), np.uintp(inside1), weight0, weight1  # unsigned: never from the end
-
-
-@compiled
 def _between(i: int, size: int, small: int, corners: bool) -> tuple[int, int, float]:
     """Where pixel `i` of `size` lies among `small` pixels, as interpolate counts."""
     if corners:
@@ -151,32 +105,22 @@ def _between(i: int, size: int, small: int, corners: bool) -> tuple[int, int, fl
 
 
 @compiled
-def _flow_at(
-    flow: np.ndarray,
-    occlusion: np.ndarray,
-    n: int,
-    rows: tuple[int, int, float],
-    columns: tuple[int, int, float],
-) -> tuple[float, float, float]:
-    """Flow (x, y) and occlusion of frame `n` between four pixels."""
-    y0, y1, v = rows
-    x0, x1, u = columns
-    one = np.float32(1.0)
-    a, b, c, d = (one - v) * (one - u), (one - v) * u, v * (one - u), v * u
-    x = (
-        a * flow[n, y0, x0, 0]
-        + b * flow[n, y0, x1, 0]
-        + c * flow[n, y1, x0, 0]
-        + d * flow[n, y1, x1, 0]
-    )
-    y = (
-        a * flow[n, y0, x0, 1]
-        + b * flow[n, y0, x1, 1]
-        + c * flow[n, y1, x0, 1]
-        + d * flow[n, y1, x1, 1]
-    )
-    o = a * occlusion[n, y0, x0] + b * occlusion[n, y0, x1]
-    return x, y, o + c * occlusion[n, y1, x0] + d * occlusion[n, y1, x1]
+def _row_flow(
+    flow: np.ndarray, occlusion: np.ndarray, n: int, j: int, height: int, corners: bool,
+    across: np.ndarray, down: np.ndarray, shown: np.ndarray,
+) -> None:  # fmt: skip
+    """Row `j` of `height` of frame n's flow and occlusion, resized: x, y and occlusion (W,)."""
+    one, width = np.float32(1.0), len(across)
+    y0, y1, v = _between(j, height, flow.shape[1], corners)
+    for i in range(width):
+        x0, x1, u = _between(i, width, flow.shape[2], corners)
+        a, b, c, d = (one - v) * (one - u), (one - v) * u, v * (one - u), v * u
+        x = a * flow[n, y0, x0, 0] + b * flow[n, y0, x1, 0]
+        y = a * flow[n, y0, x0, 1] + b * flow[n, y0, x1, 1]
+        o = a * occlusion[n, y0, x0] + b * occlusion[n, y0, x1]
+        across[i] = x + c * flow[n, y1, x0, 0] + d * flow[n, y1, x1, 0]
+        down[i] = y + c * flow[n, y1, x0, 1] + d * flow[n, y1, x1, 1]
+        shown[i] = o + c * occlusion[n, y1, x0] + d * occlusion[n, y1, x1]
 
 
 @compiled
@@ -190,15 +134,9 @@ def _far(matrix: np.ndarray, n: int, x: float, y: float) -> tuple[float, float]:
 
 @compiled
 def _row_taps(
-    across: np.ndarray,
-    down: np.ndarray,
-    height: int,
-    width: int,
-    corners: bool,
-    place: np.ndarray,
-    u: np.ndarray,
-    v: np.ndarray,
-) -> None:
+    across: np.ndarray, down: np.ndarray, height: int, width: int, corners: bool,
+    place: np.ndarray, u: np.ndarray, v: np.ndarray,
+) -> None:  # fmt: skip
     """Where coordinates (x, y) fall in a picture that `framed` gave.
 
     Args:
@@ -225,15 +163,10 @@ def _row_taps(
 
 @compiled
 def _row_sample(
-    picture: np.ndarray,
-    plane: int,
-    wide: int,
-    place: np.ndarray,
-    u: np.ndarray,
-    v: np.ndarray,
+    picture: np.ndarray, plane: int, wide: int, place: np.ndarray, u: np.ndarray, v: np.ndarray,
     out: np.ndarray,
-) -> None:
-    """One colour of a framed picture (3, pixels), rows of `wide`, at what `_row_taps` gave."""
+) -> None:  # fmt: skip
+    """One colour of the `planes` of a picture, rows of `wide`, at what `_row_taps` gave."""
     for i in range(len(place)):
         a, b = picture[plane, np.uint32(place[i])], picture[plane, np.uint32(place[i] + 1)]
         c = picture[plane, np.uint32(place[i] + wide)]
@@ -265,19 +198,13 @@ def gaussians(shift: np.ndarray, precision: np.ndarray, out: np.ndarray) -> None
 
 @compiled
 def flow_input(
-    small: np.ndarray,
-    still: np.ndarray,
-    shift: np.ndarray,
-    precision: np.ndarray,
-    maps: np.ndarray,
-    background: np.ndarray,
-    corners: bool,
-    out: np.ndarray,
-) -> None:
+    small: np.ndarray, still: np.ndarray, shift: np.ndarray, precision: np.ndarray,
+    maps: np.ndarray, background: np.ndarray, corners: bool, out: np.ndarray,
+) -> None:  # fmt: skip
     """What the flow predictor sees: for every region heatmap difference and deformed source.
 
     Args:
-        small: (3, pixels) float32, the small source (h, w, 3), `framed`.
+        small: `planes` of the small source (h, w, 3).
         still: (h, K, w) float32, `gaussians` of the source.
         shift: (b, K, 2) float32 of the driving regions.
         precision: (b, K, 3) float32 of the driving regions.
@@ -288,9 +215,8 @@ def flow_input(
     """
     height, regions, width = still.shape
     moving = np.empty(still.shape, np.float32)
-    across, down = np.empty(width, np.float32), np.empty(width, np.float32)
-    u, v, place = np.empty_like(across), np.empty_like(across), np.empty(width, np.int32)
-    colour = np.empty((3, width), np.float32)
+    across, down, u, v = np.empty((4, width), np.float32)
+    colour, place = np.empty((3, width), np.float32), np.empty(width, np.int32)
     wide = np.int32(width + 3)
     for n in range(len(shift)):
         gaussians(shift[n], precision[n], moving)
@@ -311,19 +237,15 @@ def flow_input(
                 for e in range(3):
                     _row_sample(small, e, wide, place, u, v, colour)
                 for i in range(width):
-                    out[n, j, i, 4 * k + 1] = _like(colour[0, i], out)
-                    out[n, j, i, 4 * k + 2] = _like(colour[1, i], out)
-                    out[n, j, i, 4 * k + 3] = _like(colour[2, i], out)
+                    for e in range(3):
+                        out[n, j, i, 4 * k + 1 + e] = _like(colour[e, i], out)
 
 
 @compiled
 def flow_result(
-    logits: np.ndarray,
-    maps: np.ndarray,
-    background: np.ndarray,
-    flow: np.ndarray,
-    occlusion: np.ndarray,
-) -> None:
+    logits: np.ndarray, maps: np.ndarray, background: np.ndarray,
+    flow: np.ndarray, occlusion: np.ndarray,
+) -> None:  # fmt: skip
     """Flow and occlusion from the flow predictor's logits: softmax, blend of the motions, sigmoid.
 
     Args:
@@ -368,19 +290,13 @@ def flow_result(
 
 @compiled
 def blend(
-    features: np.ndarray,
-    flow: np.ndarray,
-    occlusion: np.ndarray,
-    corners: bool,
-    generated: np.ndarray,
-    lie: int,
-    warped: bool,
-    out: np.ndarray,
-) -> None:
+    features: np.ndarray, flow: np.ndarray, occlusion: np.ndarray, corners: bool,
+    generated: np.ndarray, lie: int, warped: bool, out: np.ndarray,
+) -> None:  # fmt: skip
     """Source features warped by the flow where the source shows them, generated ones elsewhere.
 
     Args:
-        features: (H, W, C) of the source.
+        features: (pixels, C), those of the source (H, W, C), `framed`.
         flow: (b, h, w, 2) float32 source coordinates; resized to (H, W) bilinearly.
         occlusion: (b, h, w) float32, 1 where the source shows what is needed.
         corners: grid convention of warp and resize.
@@ -389,36 +305,30 @@ def blend(
         warped: False leaves the source out: `out` is what was generated, pixel by pixel.
         out: (b, H, W, C), written: `warped * occlusion + generated * (1 - occlusion)`.
     """
-    height, width, channels = features.shape
+    _, height, width, channels = out.shape
+    one, wide = np.float32(1.0), np.int32(width + 3)
+    across, down, shown, u, v = np.zeros((5, width), np.float32)
+    place = np.zeros(width, np.int32)
     for n in range(len(out)):
         for j in range(height):
-            rows = _between(j, height, flow.shape[1], corners)
+            if warped:
+                _row_flow(flow, occlusion, n, j, height, corners, across, down, shown)
+                _row_taps(across, down, height, width, corners, place, u, v)
             for i in range(width):
-                x, y, shown = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-                if warped:
-                    columns = _between(i, width, flow.shape[2], corners)
-                    x, y, shown = _flow_at(flow, occlusion, n, rows, columns)
-                x0, x1, u0, u1 = _taps(_pixel(x, width, corners), width)
-                y0, y1, v0, v1 = _taps(_pixel(y, height, corners), height)
-                v0, v1 = v0 * shown, v1 * shown
-                a, b, c, d = v0 * u0, v0 * u1, v1 * u0, v1 * u1
-                hidden = np.float32(1.0) - shown
-                if lie == NONE:
-                    for e in range(channels):
-                        value = a * _load(features[y0, x0, e]) + b * _load(features[y0, x1, e])
-                        rest = c * _load(features[y1, x0, e]) + d * _load(features[y1, x1, e])
-                        out[n, j, i, e] = _like(value + rest, out)
-                    continue
-                p, q, first = 0, 0, 0
-                row, column = j, i
+                first, below = np.uintp(place[i]), np.uintp(place[i] + wide)
+                right, last = np.uintp(place[i] + 1), np.uintp(place[i] + wide + 1)
+                upper, lower = (one - v[i]) * shown[i], v[i] * shown[i]
+                a, b = upper * (one - u[i]), upper * u[i]
+                c, d = lower * (one - u[i]), lower * u[i]
+                hidden, row, column, beside = one - shown[i], j, i, 0
                 if lie == PHASES:
-                    p, q = j % 2, i % 2
-                    first = (2 * p + q) * channels
-                    row, column = j // 2 + p, i // 2 + q
+                    beside = (2 * (j % 2) + i % 2) * channels
+                    row, column = j // 2 + j % 2, i // 2 + i % 2
                 for e in range(channels):
-                    value = a * _load(features[y0, x0, e]) + b * _load(features[y0, x1, e])
-                    value += c * _load(features[y1, x0, e]) + d * _load(features[y1, x1, e])
-                    value += hidden * _load(generated[n, row, column, first + e])
+                    value = a * _load(features[first, e]) + b * _load(features[right, e])
+                    value += c * _load(features[below, e]) + d * _load(features[last, e])
+                    if lie != NONE:
+                        value += hidden * _load(generated[n, row, column, beside + e])
                     out[n, j, i, e] = _like(value, out)
 
 
@@ -435,9 +345,8 @@ def join(phases: np.ndarray, skip: np.ndarray, out: np.ndarray) -> None:
     channels = out.shape[3] - beside
     for n in range(count):
         for j in range(height):
-            p = j % 2
             for i in range(width):
-                q = i % 2
+                p, q = j % 2, i % 2
                 row, column, first = j // 2 + p, i // 2 + q, (2 * p + q) * channels
                 for e in range(channels):
                     out[n, j, i, e] = phases[n, row, column, first + e]
@@ -447,19 +356,13 @@ def join(phases: np.ndarray, skip: np.ndarray, out: np.ndarray) -> None:
 
 @compiled
 def picture(
-    photo: np.ndarray,
-    flow: np.ndarray,
-    occlusion: np.ndarray,
-    corners: bool,
-    logits: np.ndarray,
-    warped: bool,
-    painted: np.ndarray,
-    out: np.ndarray,
-) -> None:
+    photo: np.ndarray, flow: np.ndarray, occlusion: np.ndarray, corners: bool,
+    logits: np.ndarray, warped: bool, painted: np.ndarray, out: np.ndarray,
+) -> None:  # fmt: skip
     """The frames: sigmoid of the generator's logits, blended with the warped photo.
 
     Args:
-        photo: (3, pixels) float32 in [0, 1], (H, W, 3), `framed`.
+        photo: `planes` of the photo (H, W, 3) in [0, 1].
         flow: as in `blend`.
         occlusion: as in `blend`.
         corners: as in `blend`.
@@ -470,18 +373,14 @@ def picture(
     """
     height, width = out.shape[1:3]
     one = np.float32(1.0)
-    line = np.empty(width, np.float32)
     made, seen = np.empty((3, width), np.float32), np.zeros((3, width), np.float32)
-    across, down, shown = np.empty_like(line), np.empty_like(line), np.zeros_like(line)
-    u, v, place = np.empty_like(line), np.empty_like(line), np.empty(width, np.int32)
+    line, across, down, shown, u, v = np.zeros((6, width), np.float32)
+    place = np.empty(width, np.int32)
     wide = np.int32(width + 3)
     for n in range(len(out)):
         for j in range(height):
             if warped:
-                rows = _between(j, height, flow.shape[1], corners)
-                for i in range(width):
-                    columns = _between(i, width, flow.shape[2], corners)
-                    across[i], down[i], shown[i] = _flow_at(flow, occlusion, n, rows, columns)
+                _row_flow(flow, occlusion, n, j, height, corners, across, down, shown)
                 _row_taps(across, down, height, width, corners, place, u, v)
             for e in range(3):
                 first = 4 * e + 2 * (j % 2)

@@ -1,4 +1,4 @@
-"""Compiled loops work where nothing can be kept on disk, and are kept where it can."""
+"""Compiled loops are kept in a folder of the user's own, and work where there is none."""
 
 import os
 import shutil
@@ -25,34 +25,55 @@ def guarded(function):
     return call
 
 
-os.makedirs = guarded(os.makedirs)
+os.makedirs, os.mkdir = guarded(os.makedirs), guarded(os.mkdir)
 tempfile.TemporaryFile = guarded(tempfile.TemporaryFile)  # by which numba tries a folder
 
-from mraa import warp_kernel
+from mraa.fast import warp_kernel
 
 out = np.empty((1, 2, 2, 3), np.float32)
 warp_kernel.join(np.ones((1, 2, 2, 8), np.float32), np.zeros((1, 2, 2, 1), np.float32), out)
-print(int(out.sum()))
+print(int(out.sum()), sum(warp_kernel.join.stats.cache_hits.values()))
 """
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("home", ["writable", "read-only"])
-def test_where_the_package_cannot_be_written(tmp_path, home):
-    package, user = tmp_path / "package", tmp_path / "user"
-    source = Path(__file__).resolve().parents[3] / "mraa"
-    shutil.copytree(source, package / "mraa", ignore=shutil.ignore_patterns("__pycache__"))
-    forbidden = [str(package)] if home == "writable" else [str(package), str(user)]
-    places = {"HOME": str(user), "XDG_CACHE_HOME": str(user / "cache"), "PYTHONPATH": str(package)}
-    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | places
+def run(package, user, *forbidden, **more):
+    """The sum of what a kernel wrote, and how often it was read from the cache."""
+    places = {"HOME": str(user), "XDG_CACHE_HOME": "", "PYTHONPATH": str(package)}
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
     result = subprocess.run(
-        [sys.executable, "-B", "-c", CODE, *forbidden],
+        [sys.executable, "-B", "-c", CODE, *map(str, forbidden)],
         cwd=package,
-        env=environment,
+        env=environment | places | more,
         capture_output=True,
         text=True,
     )
     assert result.returncode == 0, result.stderr
-    assert result.stdout.strip() == "8"
     assert not list(package.rglob("*.nbi"))
-    assert bool(list(user.rglob("*.nbi"))) == (home == "writable")
+    return result.stdout.split()
+
+
+@pytest.fixture
+def package(tmp_path):
+    source = Path(__file__).resolve().parents[3]
+    for name in ("mraa", "data_prep"):
+        ignored = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(source / name, tmp_path / "package" / name, ignore=ignored)
+    return tmp_path / "package"
+
+
+def test_the_second_run_reads_what_the_first_compiled(package, tmp_path):
+    user = tmp_path / "user"
+    assert run(package, user) == ["8", "0"]
+    assert run(package, user, package) == ["8", "1"]
+    assert list((user / ".cache" / "angie" / "numba").rglob("*.nbi"))
+
+
+@pytest.mark.slow  # compiles twice more
+def test_where_the_cache_cannot_be_written(package, tmp_path):
+    """As where another user made it; a temporary folder serves, and is gone afterwards."""
+    user, temporary = tmp_path / "user", tmp_path / "temporary"
+    (user / ".cache" / "angie" / "numba").mkdir(parents=True)
+    temporary.mkdir()
+    assert run(package, user, package, user, TMPDIR=str(temporary)) == ["8", "0"]
+    assert not list(user.rglob("*.nbi")) and not list(temporary.iterdir())
+    assert run(package, user, package, user, temporary, TMPDIR=str(temporary)) == ["8", "0"]

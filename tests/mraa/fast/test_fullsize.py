@@ -151,3 +151,17 @@ def test_fade_is_none_at_the_border_and_all_in_the_middle():
     assert both[0] == both[-1] == 0 and both[50] == 1 and (np.diff(both[:50]) >= 0).all()
     assert one[0] == 1 and one[-1] == 0 and np.array_equal(one[50:], both[50:])
     assert (border_fade(100, False, False) == 1).all()
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_without_kernels_the_same_is_drawn(photo, whole):
+    random = torch.Generator().manual_seed(2)
+    crop = Crop(-10, 20, 90)
+    flow = coordinate_grid(8, 8)[None] + 0.1 * torch.randn(1, 8, 8, 2, generator=random)
+    occlusion, painted = torch.rand(1, 1, 8, 8, generator=random), torch.rand(1, 3, 32, 32)
+    canvas = FullSize(photo, crop, 90, whole=whole)
+    wanted = canvas.frames(flow, occlusion, painted).astype(int)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ANGIE_KERNELS", "0")
+        found = canvas.frames(flow, occlusion, painted)
+    assert np.abs(found - wanted).max() <= 1 and (found != wanted).mean() < 0.01

@@ -2,6 +2,9 @@
 
 import copy
 import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -200,6 +203,32 @@ def test_the_way_of_gpus_is_exact_in_float32(design):
     assert np.abs(parts.frames - (wanted * 255).round().permute(0, 2, 3, 1).numpy()).max() <= 1
     for key, value in renderer.state_dict().items():
         assert torch.equal(value, before[key])
+
+
+def test_without_kernels_the_same_frames_are_drawn(monkeypatch):
+    renderer, photo = make("deep"), picture()
+    regions, motion = poses(renderer, photo, 5)
+    wanted = list(RenderSession(renderer, photo, regions, precision="fp32").parts(motion))
+    monkeypatch.setenv("ANGIE_KERNELS", "0")
+    session = RenderSession(renderer, photo, regions, precision="fp32", batch=2, workers=3)
+    assert isinstance(session.draw, Accelerated)
+    found = list(session.parts(motion))
+    assert psnr(blended(photo, found, True), blended(photo, wanted, True)) > 100
+    whole, frames = (np.concatenate([p.frames for p in parts]) for parts in (wanted, found))
+    assert np.abs(whole.astype(int) - frames).max() <= 1
+
+
+def test_without_kernels_numba_is_not_imported():
+    code = """
+import sys
+import mraa.draw, angie.pipeline
+print("numba" in sys.modules)
+"""
+    environment = {**os.environ, "ANGIE_KERNELS": "0"}
+    run = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
+    )
+    assert run.stdout.strip() == "False", run.stderr
 
 
 def test_bad_arguments():
