@@ -38,8 +38,9 @@ print(int(out.sum()), sum(warp_kernel.join.stats.cache_hits.values()))
 
 def run(package, user, *forbidden, **more):
     """The sum of what a kernel wrote, and how often it was read from the cache."""
-    places = {"HOME": str(user), "XDG_CACHE_HOME": "", "PYTHONPATH": str(package)}
-    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    places = {"HOME": str(user), "PYTHONPATH": str(package)}
+    caches = ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")
+    environment = {k: v for k, v in os.environ.items() if k not in caches}
     result = subprocess.run(
         [sys.executable, "-B", "-c", CODE, *map(str, forbidden)],
         cwd=package,
