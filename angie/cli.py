@@ -9,7 +9,7 @@ from typing import Annotated
 
 # How threads of GNU OpenMP wait for the next parallel loop, before torch is imported: those that
 # spin starve a shared machine, so they sleep; but not before some 100 microseconds: from one
-# product of the GPT to the next they stay awake, which takes a quarter off its time.
+# product of a transformer to the next they stay awake, which takes a quarter off its time.
 os.environ.update({"OMP_WAIT_POLICY": "PASSIVE", "GOMP_SPINCOUNT": "10000", **os.environ})
 
 import typer  # noqa: E402

@@ -3,7 +3,6 @@
 What a training takes from other bundles: weights to begin with, and a teacher.
 """
 
-import dataclasses
 import shutil
 from collections.abc import Callable
 from functools import partial
@@ -15,6 +14,8 @@ from torch import nn
 from angie.bundle import Bundle
 from angie.config import Preset, override, with_generator
 from angie.generators import DEFAULT, family
+from angie.generators.stages import plain
+from angie.parts import difference
 from data_prep.errors import BadInput
 from data_prep.files import check_output
 from mraa.regions import RegionEstimator
@@ -34,9 +35,10 @@ def initial_weights(training: RendererTraining, config: RendererConfig) -> Path:
     path = Path(training.initial)
     if path.is_dir():
         bundle = Bundle.open(path)
-        difference = _difference(bundle.preset.renderer, config, "renderer.")
-        if difference:
-            raise BadInput(f"train_renderer.initial: {path} {difference}; give both the same")
+        theirs, ours = (plain({"renderer": one}) for one in (bundle.preset.renderer, config))
+        other = difference(theirs, ours)
+        if other:
+            raise BadInput(f"train_renderer.initial: {path} has {other}; give both the same")
         path = bundle.path_of("renderer")
     load_initial(Renderer(config), path)
     return path
@@ -57,19 +59,6 @@ def teacher_of(training: RendererTraining, config: RendererConfig) -> RegionEsti
             f"this renderer {config.regions}; set renderer.regions={renderer.config.regions}"
         )
     return renderer.estimator
-
-
-def _difference(there: object, here: object, prefix: str) -> str:
-    """The first setting in which two configurations differ, in words; "" for none."""
-    for entry in dataclasses.fields(here):  # type: ignore[arg-type]
-        a, b = getattr(there, entry.name), getattr(here, entry.name)
-        if dataclasses.is_dataclass(b):
-            inner = _difference(a, b, f"{prefix}{entry.name}.")
-            if inner:
-                return inner
-        elif a != b:
-            return f"has {prefix}{entry.name}={a}, this training {b}"
-    return ""
 
 
 def try_out(settings: Preset) -> None:

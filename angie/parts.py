@@ -4,6 +4,7 @@ import dataclasses
 import subprocess
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -74,18 +75,21 @@ def changed(part: str, trained: Mapping[str, Any], preset: Preset) -> str:
     if part not in UPSTREAM:
         found, _ = stage_of(part)
         usual = Preset(generators={found.name: found.settings()})
-    return _difference(trained, sizes_of(part, preset), sizes_of(part, usual))
+    return difference(trained, sizes_of(part, preset), sizes_of(part, usual))
 
 
-def _difference(
-    trained: Mapping[str, Any], now: Mapping[str, Any], usual: Mapping[str, Any], prefix: str = ""
+def difference(
+    trained: Mapping[str, Any],
+    now: Mapping[str, Any],
+    usual: Mapping[str, Any] = MappingProxyType({}),
+    prefix: str = "",
 ) -> str:
     """The first setting that differs, in words, or ""."""
     for key, value in now.items():
         default = usual.get(key)
         before = trained.get(key, default)
         if isinstance(value, Mapping) and isinstance(before, Mapping):
-            inner = _difference(before, value, default or {}, f"{prefix}{key}.")
+            inner = difference(before, value, default or {}, f"{prefix}{key}.")
             if inner:
                 return inner
         elif before != value:

@@ -15,7 +15,8 @@ Force = Annotated[bool, typer.Option("--force", help="Replace an existing output
 Seed = Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Everything random follows from it.")]
 Device = Annotated[str, typer.Option(help="auto, cpu, cuda or mps.")]
 Precision = Annotated[
-    str, typer.Option(help="Of renderer and GPT: auto (the fastest there is), fp32, bf16, fp16.")
+    str,
+    typer.Option(help="Of the networks: auto (the fastest there is), fp32, bf16, fp16."),
 ]
 Style = Annotated[
     str | None,

@@ -25,7 +25,7 @@ def train(
     stage: Annotated[
         str,
         typer.Option(
-            help="renderer, motion, a stage of the generator (vq, gpt, refiner of angie), avd, or "
+            help="renderer, motion, a stage of the generator (angie info lists its parts), avd, or "
             "all but avd."
         ),
     ] = "all",

@@ -22,7 +22,7 @@ def test_the_setting_that_differs_is_named():
     generator = dataclasses.replace(SHIPPED.generator, width=96)
     other = dataclasses.replace(SHIPPED, generator=generator)
     width = SHIPPED.generator.width
-    with pytest.raises(BadInput, match=f"has renderer.generator.width={width}, this training 96"):
+    with pytest.raises(BadInput, match=f"has renderer.generator.width={width}, not 96"):
         initial_weights(training, other)
     file = RendererTraining(initial=str(BUNDLE / "renderer.safetensors"))
     with pytest.raises(BadInput, match="there and .* here"):

@@ -1,4 +1,4 @@
-"""Every size and every number of ANGIE's training and generation, and its presets."""
+"""Every size and every number of ANGIE's training and generation, its presets and variants."""
 
 from dataclasses import dataclass, field, replace
 
@@ -9,6 +9,7 @@ from angie.generators.angie.sampling import Sampling, Window
 from angie.generators.angie.tokenizer import VQConfig
 from angie.generators.angie.train import GPTTraining, VQTraining
 from angie.generators.angie.train_refiner import RefinerTraining
+from angie.generators.base import Variant
 from angie.motion.windows import WINDOW_TOKENS
 from data_prep.speech.features import ONSET_SIZE
 from mraa.training.checkpoint import Schedule
@@ -118,3 +119,25 @@ def tiny() -> AngieSettings:
             schedule=Schedule(rate=2e-3, betas=(0.9, 0.999), most_steps=150), checks=10
         ),
     )
+
+
+def _quantised(settings: AngieSettings, quant: str) -> AngieSettings:
+    generation = replace(settings.generation, refine=True)
+    return replace(settings, vq=replace(settings.vq, quant=quant), generation=generation)
+
+
+def _without_refiner(settings: AngieSettings) -> AngieSettings:
+    whole = _quantised(settings, "full")
+    return replace(whole, generation=replace(whole.generation, refine=False))
+
+
+VARIANTS = {
+    "no_quant": Variant(lambda settings: _quantised(settings, "no_quant")),
+    "mu_L": Variant(lambda settings: _quantised(settings, "mu_L")),
+    "dmu_L": Variant(lambda settings: _quantised(settings, "dmu_L")),
+    "mu_dL": Variant(lambda settings: _quantised(settings, "mu_dL")),
+    "no_cholesky": Variant(lambda settings: _quantised(settings, "no_cholesky")),
+    "no_refine": Variant(_without_refiner, parts_of="full"),
+    "full": Variant(lambda settings: _quantised(settings, "full")),
+}
+"""Rows of the paper's Table 3 in its order; `no_cholesky` is of its section 3.2."""

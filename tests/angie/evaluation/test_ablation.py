@@ -21,7 +21,7 @@ from angie.evaluation.ablation import (
 from angie.evaluation.networks import EvaluationConfig
 from angie.generators.angie.direct import DirectMotion
 from angie.generators.angie.report import broken_share
-from angie.generators.angie.variants import VARIANTS
+from angie.generators.angie.settings import VARIANTS
 from data_prep.errors import BadInput
 from mraa.training.run import RunConfig
 

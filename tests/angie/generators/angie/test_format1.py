@@ -1,0 +1,60 @@
+"""Bundles from when there was ANGIE alone: the manifest that shipped then, with today's weights."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from angie.bundle import BUNDLE, Bundle
+from angie.config import override
+from data_prep.errors import BadInput
+
+
+@pytest.fixture
+def old(tmp_path) -> Path:
+    """The shipped bundle as format 1 had it."""
+    folder = tmp_path / "old"
+    folder.mkdir()
+    for path in BUNDLE.glob("*.safetensors"):
+        shutil.copy(path, folder / path.name.removeprefix("angie."))
+    shutil.copy(Path(__file__).with_name("format1.json"), folder / "bundle.json")
+    return folder
+
+
+def change(folder: Path, section: str, **values) -> None:
+    manifest = json.loads((folder / "bundle.json").read_text())
+    manifest["config"][section] |= values
+    (folder / "bundle.json").write_text(json.dumps(manifest))
+
+
+def test_a_bundle_of_format_1_is_the_shipped_one(old):
+    then, now = Bundle.open(old), Bundle.open(BUNDLE)
+    assert then.settings("angie") == now.settings("angie")
+    assert then.preset.renderer == now.preset.renderer
+    assert then.needed() == now.needed() and all(then.has(part) for part in then.needed())
+    for part in then.needed():
+        assert then.hash_of(part) == now.hash_of(part)
+        assert then.manifest["parts"][part]["upstream"] == now.manifest["parts"][part]["upstream"]
+        assert then.report(part) == now.report(part)
+    assert "audio_sensitivity" in then.report("angie.gpt")
+    assert then.generator().chunked == now.generator().chunked
+
+
+def test_it_is_written_as_format_2_and_stays_whole(old):
+    bundle = Bundle.open(old)
+    bundle.preset = override(bundle.preset, {"train_gpt": {"patience": 7}})
+    bundle.write()
+    manifest = json.loads((old / "bundle.json").read_text())
+    assert manifest["format"] == 2 and "vq" not in manifest["config"]
+    again = Bundle.open(old)
+    assert all(again.has(part) for part in again.needed())
+    assert again.settings("angie").train_gpt.patience == 7
+    assert again.settings("angie").train_vq.path_loss == 0.3  # it was called summed
+
+
+def test_a_setting_that_is_gone_is_read_at_its_default_alone(old):
+    assert "mfcc_encoder" in json.loads((old / "bundle.json").read_text())["config"]["refiner"]
+    change(old, "refiner", mfcc_encoder="conv")
+    with pytest.raises(BadInput, match="refiner.mfcc_encoder=conv is no longer supported"):
+        Bundle.open(old)
