@@ -25,6 +25,8 @@ def imported():
                 found |= {alias.name.split(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and not node.level:
                 found.add(node.module.split(".")[0])
+            elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+                found |= {a.value.split(".")[0] for a in node.args if isinstance(a, ast.Constant)}
     return found - set(sys.stdlib_module_names) - set(PACKAGES)
 
 

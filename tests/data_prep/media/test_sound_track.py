@@ -21,7 +21,7 @@ def write_tracks(path: Path, levels: list[float], default: int) -> None:
         video.width = video.height = 64
         tracks = [container.add_stream("pcm_s16le", rate=RATE, layout="mono") for _ in levels]
         for i, track in enumerate(tracks):
-            track.disposition = Disposition.default if i == default else Disposition(0)
+            track.disposition = Disposition.default.value if i == default else 0
         for k in range(25):
             frame = av.VideoFrame.from_ndarray(np.full((64, 64, 3), 99, np.uint8), "rgb24")
             frame.pts, frame.time_base = k, Fraction(1, 25)
