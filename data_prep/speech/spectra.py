@@ -4,7 +4,6 @@ What concerns onsets is librosa's; the cepstra are those of python_speech_featur
 """
 
 import functools
-import importlib
 from collections.abc import Callable
 from types import ModuleType
 from typing import Any
@@ -81,10 +80,10 @@ def load_librosa() -> ModuleType:
 
     numba.guvectorize = kept
     try:
-        importlib.import_module("librosa.beat")
+        import librosa.beat
     finally:
         numba.guvectorize = compile_ufunc
-    return importlib.import_module("librosa")
+    return librosa
 
 
 def onset_rows(samples: NDArray) -> NDArray:
