@@ -67,23 +67,38 @@ _FLOOR = np.finfo(np.float64).eps
 def load_librosa() -> ModuleType:
     """Librosa with its beat tracker, imported when first needed.
 
-    Numba keeps on disk what it compiles for librosa; of the beat tracker librosa leaves that out,
-    which costs each run one to two seconds, so it is asked for here.
+    Librosa has numba compile about fifty functions at its import, or load them from disk, and some
+    of the beat tracker's in every run. Here each of them waits for its first call, and numba keeps
+    it on disk: a second less for each command.
     """
     numba_cache()
     import numba
 
-    compile_ufunc = numba.guvectorize
-
-    def kept(*given: Any, **settings: Any) -> Any:
-        return compile_ufunc(*given, **{**settings, "cache": True})
-
-    numba.guvectorize = kept
+    names = ("vectorize", "guvectorize")
+    eager = {name: getattr(numba, name) for name in names}
+    for name in names:
+        setattr(numba, name, _when_called(eager[name]))
     try:
         import librosa.beat
     finally:
-        numba.guvectorize = compile_ufunc
+        for name in names:
+            setattr(numba, name, eager[name])
     return librosa
+
+
+def _when_called(compile_with: Callable[..., Any]) -> Callable[..., Any]:
+    """Numba's decorator of a kind, which compiles at the first call and keeps what it compiled."""
+
+    def decorator(*given: Any, **settings: Any) -> Callable[..., Any]:
+        def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+            compiled = functools.cache(
+                lambda: compile_with(*given, **{**settings, "cache": True})(function)
+            )
+            return lambda *args, **named: compiled()(*args, **named)
+
+        return decorate
+
+    return decorator
 
 
 def onset_rows(samples: NDArray) -> NDArray:
