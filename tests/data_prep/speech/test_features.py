@@ -1,6 +1,5 @@
 """Speech features: the stated columns in the stated order, and windows centred on their frames."""
 
-import os
 import subprocess
 import sys
 
@@ -85,19 +84,6 @@ def test_librosa_is_loaded_when_onsets_are_asked_for() -> None:
         "assert not {'librosa', 'numba', 'torch'} & set(sys.modules), sys.modules.keys()"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
-
-
-@pytest.mark.slow
-def test_librosa_is_loaded_where_numba_can_keep_nothing() -> None:
-    code = (
-        "from numba.core.caching import CacheImpl; "
-        "CacheImpl._locator_classes = [found for found in CacheImpl._locator_classes "
-        "if 'UserProvided' in found.__name__]; "
-        "from data_prep.speech.spectra import load_librosa; load_librosa().beat"
-    )
-    subprocess.run(
-        [sys.executable, "-c", code], check=True, env=os.environ | {"NUMBA_CACHE_DIR": ""}
-    )
 
 
 def test_short_sound_is_mirrored_to_what_the_recipe_needs() -> None:
