@@ -42,7 +42,7 @@ def evaluate(
         typer.Option(help="Begin with the clip's own motion (truth) or still, as a photo (pose)."),
     ] = "truth",
     no_images: Annotated[
-        bool, typer.Option("--no-images", help="Render nothing: motion scores alone.")
+        bool, typer.Option("--no-images", help="Render nothing: motion scores only.")
     ] = False,
     image_stride: Annotated[
         int, typer.Option(min=2, help="Every so many frames two are rendered for image scores.")

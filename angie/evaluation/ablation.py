@@ -40,7 +40,7 @@ COLUMNS = (
 """Columns of the paper's Table 3, and L1 and perceptual distance without the renderer's part."""
 
 MARK = "ablation.json"
-"""File of a folder of ablations: what they were made of."""
+"""File that marks a folder of ablations and holds their settings."""
 
 TABLE = "table3.md"
 
@@ -100,9 +100,9 @@ def ablate(
     if source.preset.points:
         raise BadInput(f"{bundle}: the ablations are of regions")
     source.path_of("renderer")
-    if not data.clips("test"):  # told before hours of training
+    if not data.clips("test"):  # before hours of training
         raise BadInput(f"{dataset}: has no test clips to score the variants on")
-    if config is not None and config.fgd is not None:  # told before hours of training
+    if config is not None and config.fgd is not None:  # before hours of training
         stored_autoencoder(config.fgd, source.hash_of("renderer"))
     base = override(source.preset, changes or {})
     base = replace(base, generators={found.name: base.settings(found.name)})
@@ -237,8 +237,8 @@ def table(numbers: Mapping[str, Any], shares: Mapping[str, Mapping[str, float]])
         cells = [row["name"]]
         for key in COLUMNS:
             score = scores.get(key)
-            told = score is not None and score["mean"] is not None
-            cells.append(f"{score['mean']:.{titles[key]['digits']}f}" if told and score else "-")
+            known = score is not None and score["mean"] is not None
+            cells.append(f"{score['mean']:.{titles[key]['digits']}f}" if known and score else "-")
         for column in shares.values():
             share = column.get(row["name"])
             cells.append("-" if share is None else f"{100 * share:.1f} %")

@@ -71,14 +71,14 @@ MOTION: tuple[Definition, ...] = (
     Definition("mad_px", "MAD px", LOW, "px/s^2", "The same in pixels.", 1),
     Definition("cca_global", "CCA global", HIGH, "", "First canonical correlation with the true "
                "positions over the frames of all clips (GENEA, QPGesture). Clips of different "
-               "poses correlate by these alone: see the motionless row."),
+               "poses correlate by the poses: see the motionless row."),
     Definition("cca", "CCA", HIGH, "", "The same fitted to each clip, mean over clips."),
 )  # fmt: skip
 
 IMAGES: tuple[Definition, ...] = (
     Definition("l1", "L1", LOW, "", "Mean absolute error of pixels in [0, 1] (MRAA).", 4),
     Definition("perceptual", "Perceptual", LOW, "", "Distance of deep features over an image "
-               "pyramid (MRAA); of which network is told with the numbers.", 2),
+               "pyramid (MRAA); the report names the network.", 2),
     Definition("l1_drawn", "L1 drawn", LOW, "", "L1 against what the renderer draws from the "
                "recorded frames' own regions: the part of the motion, without what the renderer "
                "cannot draw.", 4),
@@ -94,7 +94,7 @@ IMAGES: tuple[Definition, ...] = (
                "true joints and those that a ridge regression reads from the regions seen in the "
                "frame; or of key points of your own detector.", 2),
     Definition("mkr", "MKR", LOW, "", "Share of key points that a detector finds in the recorded "
-               "frame alone (FOMM, MRAA); of a detector of your own, see --detected."),
+               "frame only (FOMM, MRAA); of a detector of your own, see --detected."),
     Definition("flicker", "Flicker", LOW, "", "Mean absolute difference between the change from "
                "one frame to the next and the true change.", 4),
 )  # fmt: skip

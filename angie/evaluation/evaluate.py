@@ -77,7 +77,7 @@ def evaluate(
     data = Dataset(dataset)
     groups = [(group, systems(group, generator)) for group in _grouped(bundles)]
     check_perceptual(config)
-    if config.fgd is not None:  # told before minutes of work
+    if config.fgd is not None:  # before minutes of work
         for _, entered in groups:
             stored_autoencoder(config.fgd, entered[0].bundle.hash_of("renderer"))
     joints = {} if config.truth is None else true_joints(data, config.truth)
@@ -197,8 +197,8 @@ def score_space(
             place.mkdir()
             videos = [f"{place.name}/{name}" for name in pictures.videos(place)]
     shown = shown or space.test[in_turn(space.test, 1)[0]].name
-    told = {name: describe(bundle, data) for name, bundle in bundles.items()}
-    return report.numbers_of_space(space, judge, rows, numbers, shown, bins, origin, told) | {
+    described = {name: describe(bundle, data) for name, bundle in bundles.items()}
+    return report.numbers_of_space(space, judge, rows, numbers, shown, bins, origin, described) | {
         "images": images,
         "videos": videos,
     }
@@ -292,7 +292,7 @@ def numbers_of(
     data: Dataset | KeypointDataset, spaces: list[dict[str, Any]], config: EvaluationConfig
 ) -> dict[str, Any]:
     """The content of results.json."""
-    told: dict[str, Any] = {
+    about: dict[str, Any] = {
         "name": data.path.resolve().name,
         "sha256": data.digest,
         "fps": FPS,
@@ -300,12 +300,12 @@ def numbers_of(
     }
     for split in ("train", "test"):
         clips = data.clips(split)
-        told[f"{split}_clips"] = len(clips)
-        told[f"{split}_minutes"] = round(sum(clip.n_frames for clip in clips) / FPS / 60, 3)
+        about[f"{split}_clips"] = len(clips)
+        about[f"{split}_minutes"] = round(sum(clip.n_frames for clip in clips) / FPS / 60, 3)
     return {
         "angie": __version__,
         "commit": source_commit(),
-        "dataset": told,
+        "dataset": about,
         "options": config.as_dict(),
         "spaces": spaces,
         "definitions": [asdict(d) for d in report.ALL],

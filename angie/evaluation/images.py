@@ -45,7 +45,7 @@ class FrameJudge:
     Attributes:
         renderer: whose region estimator is used, in eval mode.
         perceptual: network of the perceptual distance.
-        identity: network of AED; None where the training set has one clip alone.
+        identity: network of AED; None where the training set has one clip only.
         reader: reads the phantom's joints; None where their truth is not known.
     """
 
@@ -171,7 +171,7 @@ def compare(
     joints: NDArray | None,
     drawn: NDArray | None = None,
 ) -> None:
-    """Score made frames of one clip and add them to what is gathered.
+    """Score generated frames of one clip and add the scores to those gathered.
 
     Args:
         judge: the networks.
@@ -235,7 +235,7 @@ def score_pictures(
         drivers: by the name of their row; that of `TRUE_REGIONS` comes before them.
         joints: true joints (T, J, 2) of clips, by name, as far as known.
         choice: which frames are scored.
-        advance: told the number of frames done.
+        advance: called with the number of frames done.
 
     Returns:
         scores by row and key.

@@ -1,4 +1,4 @@
-"""What scoring needs besides the clips: trained for it, stored in the report, named by hash."""
+"""The options of an evaluation, and the networks it trains and stores in the report."""
 
 import shutil
 from collections.abc import Sequence
@@ -52,7 +52,7 @@ class EvaluationConfig:
     Attributes:
         seeds: runs of what is random; run i has the seed `seed + i`.
         seed: of the first run and of all that is trained for scoring.
-        start: "truth" (first ground-truth code pair) or "pose" (codes of stillness).
+        start: "truth" (the beginning of the recorded motion) or "pose" (stillness).
         images: render frames: image scores and videos.
         image_stride: every so many frames two in a row are rendered for image scores.
         image_seconds: of the beginning of each clip that are scored so; 0 for all.
@@ -95,11 +95,11 @@ class EvaluationConfig:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for the report, without the paths of this machine."""
-        told = asdict(self)
+        plain = asdict(self)
         for key in ("fgd", "truth", "detected"):
-            told[key] = None if told[key] is None else Path(told[key]).name
-        told["perceptual_weights"] = Path(self.perceptual_weights).name
-        return told
+            plain[key] = None if plain[key] is None else Path(plain[key]).name
+        plain["perceptual_weights"] = Path(self.perceptual_weights).name
+        return plain
 
 
 def stored_autoencoder(path: Path, estimator: str) -> StoredAutoencoder:
@@ -138,7 +138,7 @@ def find_autoencoder(
 
     Returns:
         the network, None where there are too few training windows; its standardisation; and what
-        the report tells of it.
+        the report says of it.
 
     Raises:
         BadInput: the stored one is of other regions.
@@ -148,9 +148,9 @@ def find_autoencoder(
     if config.fgd is not None:
         stored = stored_autoencoder(config.fgd, space.estimator)
         path.write_bytes(Path(config.fgd).read_bytes())
-        model, scale, told = stored.model, stored.scale, stored.training
+        model, scale, settings = stored.model, stored.scale, stored.training
     else:
-        scale, told = space.scale, {**asdict(training), "seed": config.seed}
+        scale, settings = space.scale, {**asdict(training), "seed": config.seed}
         cut = _standard_windows(space.train, scale)
         if len(cut) < 2:
             return None, scale, {"auto-encoder of FGD": "none, too few training windows"}
@@ -163,7 +163,7 @@ def find_autoencoder(
     }
     return model, scale, {
         "auto-encoder of FGD": f"{path.name} sha256 {sha256(path)}",
-        "its training": told,
+        "its training": settings,
         "variance it keeps": kept,
     }  # fmt: skip
 
@@ -194,22 +194,22 @@ def make_frame_judge(
     number: int,
     config: EvaluationConfig,
 ) -> tuple[FrameJudge, dict[str, Any]]:
-    """The networks that look at frames, and what the report tells of them."""
+    """The networks that look at frames, and what the report says of them."""
     device = next(renderer.parameters()).device
     perceptual = PerceptualDistance(config.perceptual_weights).to(device)
-    told: dict[str, Any] = {"perceptual distance": perceptual.backend}
+    origin: dict[str, Any] = {"perceptual distance": perceptual.backend}
     training = IdentityTraining(steps=config.aed_steps)
     identity = _identity(data, space, training, config.seed)
     if identity is None:
-        told["network of AED"] = "none, too few training clips"
+        origin["network of AED"] = "none, too few training clips"
     else:
         path = folder / f"identity-{number}.safetensors"
         save_file({k: v.contiguous() for k, v in identity.state_dict().items()}, path)
-        told["network of AED"] = f"{path.name} sha256 {sha256(path)}, {asdict(training)}"
+        origin["network of AED"] = f"{path.name} sha256 {sha256(path)}, {asdict(training)}"
     reader, error = _reader(space, joints)
     if error is not None:
-        told["reader of joints"] = f"{error:.2f} px from the truth on true test frames"
-    return FrameJudge(renderer, perceptual, identity, reader), told
+        origin["reader of joints"] = f"{error:.2f} px from the truth on true test frames"
+    return FrameJudge(renderer, perceptual, identity, reader), origin
 
 
 def _identity(

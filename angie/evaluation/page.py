@@ -75,7 +75,7 @@ def _missing(space: Mapping[str, Any]) -> dict[str, list[str]]:
 
 
 def _origin(numbers: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """What the report was made of and how, by what it is."""
+    """Inputs, options and versions behind the report, by name."""
     lines = [
         ("angie", f"{numbers['angie']} {numbers['commit'][:12]}"),
         ("dataset", f"{numbers['dataset']['name']}, sha256 {numbers['dataset']['sha256']}"),

@@ -105,7 +105,7 @@ def numbers_of_space(
     origin: Mapping[str, Any],
     bundles: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """What the report tells of the motion in one space.
+    """What the report says of the motion in one space.
 
     Args:
         space: the clips.
@@ -115,7 +115,7 @@ def numbers_of_space(
         shown: name of the clip whose activity is plotted.
         bins: speeds of the plot.
         origin: what was used, by what it is.
-        bundles: what is told of each bundle, by name.
+        bundles: description of each bundle, by name.
     """
     return {
         "kind": space.kind,
@@ -133,7 +133,7 @@ def numbers_of_space(
 
 
 def warnings_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What has to be read with care, once each."""
+    """Warnings of the scores, each once."""
     titles = {definition.key: definition.title for definition in ALL}
     found: dict[str, None] = {}
     for row in rows:

@@ -109,7 +109,7 @@ def systems(bundles: Mapping[str, Bundle], generator: str | None = None) -> list
 
 
 def row_names(folders: Sequence[Path]) -> list[str]:
-    """Names of the rows of different folders: with as many of their parents as tell them apart."""
+    """Names of the rows of different folders: with as many of their parents as distinguish them."""
     places = [Path(folder).resolve().parts for folder in folders]
     names = [""] * len(places)
     for length in range(1, max(map(len, places)) + 1):
@@ -158,7 +158,7 @@ def mismatched(space: RegionSpace, seeds: Sequence[int]) -> Row:
     return Row(
         "mismatched",
         "Real motion of the same speaker from another test clip (of a training clip where there "
-        "is one test clip alone), cut to the shorter of the two.",
+        "is only one test clip), cut to the shorter of the two.",
         runs,
     )
 

@@ -76,7 +76,7 @@ def evaluate_joints(
 
 
 def _told_apart(places: Sequence[Path]) -> tuple[dict[str, Bundle], dict[str, Path]]:
-    """Models, and folders of arrays, by the names of their rows.
+    """Bundles, and folders of arrays, by the names of their rows.
 
     Raises:
         BadInput: no folder, or a model of regions.
@@ -99,7 +99,7 @@ def _check(data: KeypointDataset, models: dict[str, Bundle], config: EvaluationC
 
     Raises:
         BadInput: they do not, or there is no training or no test clip, or a speaker has test
-            clips alone.
+            clips only.
     """
     for split in ("train", "test"):
         if not data.clips(split):
@@ -164,7 +164,7 @@ def array_row(space: RegionSpace, name: str, motions: dict[str, Motion]) -> Row:
 
 
 def shorter_or_longer(space: RegionSpace, name: str, motions: dict[str, Motion]) -> list[str]:
-    """What to tell of arrays that do not last as long as their clips, by more than a token."""
+    """Warnings of arrays that differ in length from their clips by more than a token."""
     apart = [
         clip.name
         for clip in space.test

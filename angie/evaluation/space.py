@@ -1,7 +1,7 @@
 """The clips of a dataset as points that move: what generators are scored in.
 
 The points are the regions of one estimator, or joints. Regions of two estimators have nothing in
-common, nor have regions and joints, so scores can be compared within a space alone.
+common, nor have regions and joints, so scores can be compared only within a space.
 """
 
 from dataclasses import dataclass
@@ -54,7 +54,7 @@ class RegionSpace:
 
     @property
     def active(self) -> NDArray:
-        """(K,) bool, the points that gesture; one that never moves is none of them."""
+        """(K,) bool, the points that gesture; points that never move are left out."""
         return self.statistics.active.numpy() & (self._steps > 0)
 
     @property
@@ -82,7 +82,7 @@ def open_space(dataset: Dataset, bundle: Bundle, scratch: Path, device: str) -> 
     Args:
         dataset: the clips; both a training and a test clip are needed.
         bundle: whose region estimator counts.
-        scratch: folder for motion that has to be measured; made if need be.
+        scratch: folder for motion that has to be measured; created if need be.
         device: where to measure it.
 
     Raises:

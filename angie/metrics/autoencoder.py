@@ -245,7 +245,7 @@ def save_autoencoder(
 
 @dataclass(frozen=True)
 class StoredAutoencoder:
-    """What `save_autoencoder` wrote; `estimator`, `fps` and `training` as it was told."""
+    """What `save_autoencoder` wrote, with its arguments."""
 
     model: MotionAutoencoder
     scale: MotionScale

@@ -170,7 +170,7 @@ def align(
     - "bailando" (Siyao et al. 2022, released code): d from every onset to the nearest motion
       beat. Motion beats are all strict minima of the mean speed, smoothed by a Gaussian of 5/60 s.
 
-    Both were made for dance; here onsets of speech take the place of the beats of music.
+    Both are scores of dance; here onsets of speech take the place of the beats of music.
 
     Args:
         points: (T, n, D) of each clip.

@@ -36,7 +36,7 @@ def aed(real: Sequence[NDArray], made: Sequence[NDArray]) -> Score:
         made: of the same shapes.
     """
     if any(a.shape != b.shape for a, b in zip(real, made, strict=True)):
-        raise ValueError("recorded and made embeddings must have the same shapes")
+        raise ValueError("recorded and generated embeddings must have the same shapes")
     apart = [np.abs(a.astype(np.float64) - b).mean(1) for a, b in zip(real, made, strict=True)]
     frames = sum(len(part) for part in apart)
     if not frames:
@@ -67,7 +67,7 @@ def akd(real: Sequence[NDArray], made: Sequence[NDArray]) -> Score:
 
 
 def mkr(real: Sequence[NDArray], made: Sequence[NDArray]) -> Score:
-    """Missing key point rate (FOMM and MRAA): share of points seen in the truth alone, 0 to 1.
+    """Missing key point rate (FOMM and MRAA): share of points seen only in the truth, 0 to 1.
 
     Args:
         real: (T, n, D) points of the recorded frames of each clip; NaN where none was found.
@@ -83,7 +83,7 @@ def mkr(real: Sequence[NDArray], made: Sequence[NDArray]) -> Score:
 def flicker(real: NDArray, made: NDArray) -> float:
     """Mean |dI_t - dI'_t| of frames (T, H, W, 3) in [0, 1], T above 1, d from frame to frame.
 
-    0 also for a made clip that is off by a constant picture; it measures flicker alone.
+    0 also for a clip that is off by a constant picture: it measures nothing but flicker.
     """
     return float(np.abs(np.diff(real, axis=0) - np.diff(made, axis=0)).mean())
 
@@ -96,11 +96,11 @@ def read_pair(path: Path, name: str) -> tuple[NDArray, NDArray] | None:
         name: "embeddings" (T, E), or "points" (T, n, 2) in pixels, NaN where none was found.
 
     Returns:
-        the recorded frames' and the made frames' array, cut to the shorter; None where the file
-        has neither.
+        the arrays of the recorded and of the generated frames, cut to the shorter; None where the
+        file has neither.
 
     Raises:
-        BadInput: unreadable, one of the two alone, not floats, of different shapes, or embeddings
+        BadInput: unreadable, only one of the two, not floats, of different shapes, or embeddings
             that are not finite.
     """
     names = [f"{side}_{name}" for side in ("real", "made")]
@@ -112,7 +112,7 @@ def read_pair(path: Path, name: str) -> tuple[NDArray, NDArray] | None:
     if not found:
         return None
     if len(found) == 1:
-        raise BadInput(f"{path}: has {names[0]} or {names[1]} alone; both are needed")
+        raise BadInput(f"{path}: has only one of {names[0]} and {names[1]}; both are needed")
     rank = 2 if name == "embeddings" else 3
     real, made = found
     if {real.ndim, made.ndim} != {rank} or real.shape[1:] != made.shape[1:]:

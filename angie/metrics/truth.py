@@ -21,7 +21,7 @@ CONSTANT = 1e-8
 def _pairs(real: Sequence[NDArray], made: Sequence[NDArray]) -> list[tuple[NDArray, NDArray]]:
     pairs = list(zip(real, made, strict=True))
     if any(a.shape != b.shape for a, b in pairs):
-        raise ValueError("recorded and made motion must have the same shapes")
+        raise ValueError("recorded and generated motion must have the same shapes")
     return [(a.astype(np.float64), b.astype(np.float64)) for a, b in pairs]
 
 

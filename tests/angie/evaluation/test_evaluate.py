@@ -84,6 +84,7 @@ def shipped(dataset, phantom_videos, tmp_path_factory):
     return evaluate(dataset.path, [BUNDLE], output, EvaluationConfig(truth=phantom_videos, **QUICK))
 
 
+@pytest.mark.slow
 def test_image_scores_of_the_true_regions_are_best(shipped):
     """With a renderer that can draw; the tests' own has hardly been trained."""
     true, still = (row(shipped, n, "images")["scores"] for n in ("true regions", "motionless"))

@@ -48,7 +48,7 @@ def test_arrays_of_another_network(tmp_path):
 @pytest.mark.parametrize(
     ("arrays", "words"),
     [
-        ({"real_points": np.ones((3, 4, 2))}, "alone"),
+        ({"real_points": np.ones((3, 4, 2))}, "only one of"),
         ({"real_points": np.ones((3, 4, 2)), "made_points": np.ones((3, 5, 2))}, "shapes"),
         ({"real_points": np.ones((3, 4)), "made_points": np.ones((3, 4))}, "shapes"),
         ({"real_points": np.ones((3, 4, 2), int), "made_points": np.ones((3, 4, 2))}, "floating"),
