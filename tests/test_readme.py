@@ -44,6 +44,10 @@ OF_OTHERS = {"--help", "--logdir"}
 """Options that neither the command nor the scripts define themselves."""
 
 
+ENDINGS = (".csv", ".html", ".json", ".jpg", ".md", ".mp4", ".npy", ".npz", ".py", ".sh", ".vtt")
+"""Of files, whose names look like those of settings."""
+
+
 class Parsed(Exception):
     """Raised in place of what a script does once it has read its arguments."""
 
@@ -119,22 +123,38 @@ def options_of_angie():
     return {name for command in commands for one in command.params for name in one.opts}
 
 
+def is_setting(name):
+    """Whether the preset, or ANGIE's part of it, has a setting of this name."""
+    from angie.config import preset
+
+    whole = preset("paper")
+    for value in (whole, whole.settings("angie")):
+        for part in name.split("."):
+            value = getattr(value, part, None)
+        if value is not None:
+            return True
+    return False
+
+
+def test_settings_of_the_recipes_exist():
+    text = "".join(path.read_text() for path in SCRIPTS.glob("*.sh"))
+    named = set(
+        re.findall(r"\b((?:renderer|vq|gpt|refiner|generation|train_\w+)\.[a-z_.]+)=", text)
+    )
+    assert len(named) > 30
+    assert [name for name in sorted(named) if not is_setting(name)] == []
+    assert not is_setting("train_vq.schedule.most_stepps")
+
+
 @pytest.mark.parametrize("readme", READMES)
 def test_options_settings_and_files_exist(readme):
-    from angie.config import PRESETS
-
     scripts = "".join(path.read_text() for path in SCRIPTS.glob("*.py"))
     known = options_of_angie() | set(re.findall(r'"(--[a-z-]+)"', scripts)) | OF_OTHERS
-    preset = PRESETS["paper"]()
     for words in inline(readme):
         for option in re.findall(r"(?<![\w-])--[a-z][a-z-]+", words):
             assert option in known, f"{option} in {words}"
-        setting = re.fullmatch(r"([a-z_]+)((?:\.[a-z_]+)+)(?:=.*)?", words)
-        if setting and hasattr(preset, setting[1]) and not words.endswith(".py"):
-            value = preset
-            for name in words.split("=")[0].split("."):
-                assert hasattr(value, name), words
-                value = getattr(value, name)
+        if re.fullmatch(r"[a-z_]+(\.[a-z_]+)+(=.*)?", words) and not words.endswith(ENDINGS):
+            assert is_setting(words.split("=")[0]), words
         if re.fullmatch(r"[\w./]+\.py", words):
             assert [path for path in ROOT.rglob(words.split("/")[-1]) if str(path).endswith(words)]
     for target in re.findall(r"\]\(([^)#]+)\)", prose(readme)):
