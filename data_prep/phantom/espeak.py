@@ -19,9 +19,8 @@ from scipy.ndimage import gaussian_filter1d
 
 from data_prep.errors import BadInput
 from data_prep.phantom import espeak_library
-from data_prep.phantom.lexicon import LEXICON
 from data_prep.phantom.presenters import Voice
-from data_prep.phantom.script import Phrase
+from data_prep.phantom.script import LEXICON, Phrase
 from data_prep.phantom.speech import CONTROL, LEAD, RATE, ROOM, Speech, Word, whole_frames
 from data_prep.rates import FPS
 

@@ -1,10 +1,17 @@
 """What the phantom says: sentences from a small grammar, cut into phrases with pauses."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from data_prep.phantom.lexicon import LEXICON
+LEXICON: dict[str, tuple[str, ...]] = {
+    word: tuple(phones)
+    for word, *phones in map(
+        str.split, (Path(__file__).parent / "lexicon.txt").read_text("utf-8").splitlines()
+    )
+}
+"""ARPAbet phones of each word that can be said; vowels end in 1 (stressed) or 0."""
 
 TRIGGERS = {
     "big": "spread", "huge": "spread", "wide": "spread",
@@ -40,7 +47,7 @@ _SLOTS = {
 _SENTENCES = (
     "the [thing] was very [size], and the [person] was [way]",
     "first, we [do] the [thing]. second, we [do] the [place]. third, we look at the [things]",
-    "i mean you, the [person] in the [place]",
+    "we mean you, the [person] in the [place]",
     "tell me about the [thing], and the [person] with the [way] [thing]",
     "prices are rising [when], and the cost of [things] is falling",
     "we look up at the [place], and walking down to the river",
@@ -52,7 +59,7 @@ _SENTENCES = (
     "the balance of [things] and money is [way] [when]",
     "we work together [when], to [do] the [thing]",
     "give the [thing] to the [person], and [do] the [way] [place]",
-    "i think the [thing] of the [person] is [way]",
+    "we think the [thing] of the [person] is [way]",
     "here is the [thing], a [size] example of [things]",
     "the [way] [thing] is a [thing] of [things]",
     "when the [person] began to [do] the [thing], the [place] was open",
@@ -86,7 +93,7 @@ def _fill(sentence: str, rng: np.random.Generator) -> list[str]:
     for token in sentence.replace(",", " ,").replace(".", " .").split():
         if token.startswith("["):
             token = str(rng.choice(_SLOTS[token.strip("[]")]))
-        words.append("we" if token == "i" else token)
+        words.append(token)
     return words
 
 
@@ -123,12 +130,3 @@ def script(duration: float, rate: float, rng: np.random.Generator) -> list[Phras
             spent += pause + len(words) / (2.75 * rate * tempo)
             words = []
     return phrases
-
-
-def unknown_words() -> set[str]:
-    """Words of the grammar that the lexicon lacks; empty when the two agree."""
-    said = {word for slot in _SLOTS.values() for word in slot} | set(TRIGGERS)
-    for sentence in _SENTENCES:
-        tokens = sentence.replace(",", " ").replace(".", " ").split()
-        said |= {token for token in tokens if not token.startswith("[") and token != "i"}
-    return said - set(LEXICON)

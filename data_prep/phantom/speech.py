@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter, sosfilt
 
-from data_prep.phantom.lexicon import LEXICON
 from data_prep.phantom.phones import Segment, segments
 from data_prep.phantom.presenters import Voice
-from data_prep.phantom.script import Phrase
+from data_prep.phantom.script import LEXICON, Phrase
 from data_prep.rates import FPS
 
 RATE = 24_000
