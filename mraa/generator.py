@@ -34,6 +34,11 @@ class _Warper:
         return warped * occlusion + generated * (1 - occlusion)
 
 
+def finer(occlusion: Tensor, logits: Tensor) -> Tensor:
+    """The occlusion o with `logits` added to its own: `o / (o + (1 - o) exp(-logits))`."""
+    return occlusion / (occlusion + (1 - occlusion) * torch.exp(-logits.float().clamp(-40, 40)))
+
+
 class ImageGenerator(nn.Module):
     """MRAA's generator: encoder, warped bottleneck, residual blocks, decoder with warped skips.
 
@@ -167,6 +172,9 @@ class DeepGenerator(nn.Module):
         bottleneck_blocks: residual blocks at an eighth.
         flow_channels: channels of `Flow.features`.
         refine_blocks: residual blocks at a quarter.
+        half_blocks: residual blocks at a half.
+        fine_occlusion: move the occlusion's logits, pixel by pixel, before the photo is blended in;
+            painted pictures then have these logits as a fourth channel.
         align_corners: grid convention of the warps.
     """
 
@@ -176,6 +184,8 @@ class DeepGenerator(nn.Module):
         bottleneck_blocks: int = 6,
         flow_channels: int = 116,
         refine_blocks: int = 2,
+        half_blocks: int = 0,
+        fine_occlusion: bool = False,
         align_corners: bool = True,
     ) -> None:
         super().__init__()
@@ -187,7 +197,9 @@ class DeepGenerator(nn.Module):
         self.bottleneck = nn.Sequential(*(PostResBlock(width) for _ in range(bottleneck_blocks)))
         self.up_blocks = nn.ModuleList([UpBlock(width, quarter), UpBlock(quarter, half)])
         self.refine = nn.Sequential(*(PostResBlock(quarter) for _ in range(refine_blocks)))
-        self.final = nn.Conv2d(half, 12, 3, padding=1)
+        self.sharpen = nn.Sequential(*(PostResBlock(half) for _ in range(half_blocks)))
+        self.final = nn.Conv2d(half, 16 if fine_occlusion else 12, 3, padding=1)
+        self.fine_occlusion = fine_occlusion
         self.align_corners = align_corners
 
     def encode(self, source: Tensor) -> list[Tensor]:
@@ -200,15 +212,33 @@ class DeepGenerator(nn.Module):
     def decode(self, source: Tensor, features: list[Tensor], flow: Flow) -> Tensor:
         """A frame (B, 3, H, W) in [0, 1] from the source, its features and the flow."""
         warper = _Warper(flow, self.align_corners)
-        return warper.blend(source, self._paint(features, flow, warper))
+        return self._blend(source, self._paint(features, flow, warper), warper)
 
     def paint(self, features: list[Tensor], flow: Flow) -> Tensor:
-        """The generated picture (B, 3, H, W) in [0, 1], before the warped source is blended in."""
+        """The generated picture (B, 3, H, W) in [0, 1], before the warped source is blended in.
+
+        With `fine_occlusion` a fourth channel has the logits that move the occlusion.
+        """
         return self._paint(features, flow, _Warper(flow, self.align_corners))
 
     def blend(self, source: Tensor, painted: Tensor, flow: Flow) -> Tensor:
         """What `paint` gave with the warped source where it shows what is needed."""
-        return _Warper(flow, self.align_corners).blend(source, painted)
+        return self._blend(source, painted, _Warper(flow, self.align_corners))
+
+    def shown(self, painted: Tensor, flow: Flow) -> Tensor:
+        """Where the warped source is shown, (B, 1, h, w): the fine occlusion where there is one."""
+        if not self.fine_occlusion:
+            return flow.occlusion
+        size = painted.shape[2:]
+        occlusion = resize_map(flow.occlusion, *size, align_corners=self.align_corners)
+        return finer(occlusion, painted[:, 3:])
+
+    def _blend(self, source: Tensor, painted: Tensor, warper: _Warper) -> Tensor:
+        if not self.fine_occlusion:
+            return warper.blend(source, painted)
+        warped, occlusion = warper(source)
+        occlusion = finer(occlusion, painted[:, 3:])
+        return warped * occlusion + painted[:, :3] * (1 - occlusion)
 
     def _paint(self, features: list[Tensor], flow: Flow, warper: _Warper) -> Tensor:
         half, quarter, eighth = features
@@ -216,8 +246,11 @@ class DeepGenerator(nn.Module):
         warped, occlusion = warper(eighth)
         x = self.bottleneck(warped * occlusion + self.pose_down(F.avg_pool2d(pose, 2)))
         x = self.refine(warper.blend(quarter, self.up_blocks[0](x)) + pose)
-        x = self.final(warper.blend(half, self.up_blocks[1](x)))
-        return torch.sigmoid(F.pixel_shuffle(x.float(), 2))
+        x = self.final(self.sharpen(warper.blend(half, self.up_blocks[1](x))))
+        x = F.pixel_shuffle(x.float(), 2)
+        if not self.fine_occlusion:
+            return torch.sigmoid(x)
+        return torch.cat([torch.sigmoid(x[:, :3]), x[:, 3:]], dim=1)
 
     def forward(self, source: Tensor, flow: Flow) -> Tensor:
         """A frame (B, 3, H, W) in [0, 1] from the source (B, 3, H, W) and the flow."""

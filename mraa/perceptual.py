@@ -11,6 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from mraa.blocks import AntiAliasDown
+from mraa.imagenet import ImagenetDistance, load_imagenet
 from mraa.vgg import load_vgg19, random_vgg
 
 PYRAMID_SCALES = (1.0, 0.5, 0.25, 0.125)
@@ -132,13 +133,17 @@ def score(image: Tensor, truth: Tensor, perceptual: PerceptualDistance) -> Image
     )
 
 
-BACKENDS = ("vgg19", "random_vgg", "lap", "random_vgg+lap")
+BACKENDS = ("vgg19", "random_vgg", "lap", "random_vgg+lap", "imagenet", "imagenet+lap")
 """What can compare two pictures: VGG19 of a local file (MRAA), a fixed random network, a Laplacian
-pyramid with SSIM, or both of the latter."""
+pyramid with SSIM, EfficientNet-Lite0 (`mraa.imagenet`), or a network and the pyramid."""
 
 
 OFFLINE = "random_vgg+lap"
 """The backend where no weights file is given."""
+
+
+IMAGENET_SIZE = 64
+"""Pixels of the smallest pictures that EfficientNet-Lite0 compares."""
 
 
 BANDS_WEIGHT = 4.0
@@ -158,11 +163,13 @@ class PerceptualPyramid(nn.Module):
     Deep features: `sum over scales and layers of weight * mean |phi(prediction) - phi(truth)|`,
     with VGG19 (MRAA) or the fixed random network. "lap": `weight * (4 * sum over bands of
     mean |band(prediction) - band(truth)| + 1 - SSIM)`; pictures smaller than SSIM's window do
-    without it.
+    without it. "imagenet": `weight * sum over scales of ImagenetDistance`, whose gradients at the
+    picture are about as large as those of the random network.
 
     Args:
         backend: one of `BACKENDS`, or "auto" for VGG19 where `weights` is given, else `OFFLINE`.
-        weights: path of VGG19's state dict, for "vgg19".
+        weights: path of VGG19's state dict, for "vgg19"; for "imagenet" of EfficientNet-Lite0's,
+            where its package is not installed.
         width: of the random network.
         scales: resolutions at which deep features are compared.
         weight: of the whole.
@@ -185,6 +192,9 @@ class PerceptualPyramid(nn.Module):
             self.vgg = load_vgg19(Path(weights))
         elif "random_vgg" in self.backend:
             self.vgg = random_vgg(width)
+        self.natural: ImagenetDistance | None = None
+        if "imagenet" in self.backend:
+            self.natural = ImagenetDistance(load_imagenet(Path(weights) if weights else None))
         self.bands = "lap" in self.backend
         self.pyramid = ImagePyramid()
         self.scales = scales
@@ -196,8 +206,12 @@ class PerceptualPyramid(nn.Module):
         predictions, truths = self.pyramid(prediction), self.pyramid(truth)
         total = prediction.new_zeros((), dtype=torch.float32)
         for scale, small, wanted in zip(PYRAMID_SCALES, predictions, truths, strict=True):
-            if self.vgg is not None and scale in self.scales:
+            if scale not in self.scales:
+                continue
+            if self.vgg is not None:
                 total = total + self._deep(small, wanted)
+            if self.natural is not None and min(small.shape[2:]) >= IMAGENET_SIZE:
+                total = total + self.natural(small, wanted)
         if self.bands:
             total = total + bands_distance(predictions, truths)
         return self.weight * total

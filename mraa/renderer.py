@@ -33,18 +33,26 @@ class HourglassConfig:
 
 @dataclass(frozen=True)
 class GeneratorConfig:
-    """Sizes of the image generator; `design` is "paper" (MRAA), or "lite" or "deep" (slim)."""
+    """Sizes of the image generator; `design` is "paper" (MRAA), or "lite" or "deep" (slim).
+
+    `refine_blocks` at a quarter of the resolution, `half_blocks` at a half and `fine_occlusion`
+    are settings of "deep"; see `mraa.generator.DeepGenerator`.
+    """
 
     design: str = "paper"
     width: int = 64
     max_width: int = 512
     down_blocks: int = 2
     bottleneck_blocks: int = 6
+    refine_blocks: int = 2
+    half_blocks: int = 0
+    fine_occlusion: bool = False
 
     def __post_init__(self) -> None:
         if self.design not in ("paper", "lite", "deep"):
             raise ValueError("design is paper, lite or deep")
-        if self.width < 1 or min(self.down_blocks, self.bottleneck_blocks) < 0:
+        counts = (self.down_blocks, self.bottleneck_blocks, self.refine_blocks, self.half_blocks)
+        if self.width < 1 or min(counts) < 0:
             raise ValueError("width must be positive, numbers of blocks not negative")
         if self.design == "paper" and self.max_width < self.width:
             raise ValueError("max_width must not lie below width")
@@ -202,6 +210,9 @@ def make_generator(config: RendererConfig) -> ImageGenerator | LiteGenerator | D
             width=sizes.width,
             bottleneck_blocks=sizes.bottleneck_blocks,
             flow_channels=config.flow.width + 4 * (config.regions + 1),
+            refine_blocks=sizes.refine_blocks,
+            half_blocks=sizes.half_blocks,
+            fine_occlusion=sizes.fine_occlusion,
             align_corners=config.align_corners,
         )
     if sizes.design == "lite":
@@ -230,7 +241,8 @@ class Parts:
     flow: Tensor
     """(b, h, w, 2) float32 source coordinates (x, y) in [-1, 1]."""
     occlusion: Tensor
-    """(b, 1, h, w) float32 in [0, 1]; 1 where the source shows what is needed."""
+    """(b, 1, h, w) float32 in [0, 1]; 1 where the source shows what is needed. Of the frames' size
+    where the generator has a fine occlusion."""
     painted: Tensor
     """(b, 3, H, W) float32 in [0, 1], the generated picture before the photo is blended in."""
     frames: np.ndarray

@@ -36,6 +36,17 @@ def pixels(x: Tensor) -> np.ndarray:
     return bits.permute(0, 2, 3, 1).numpy()
 
 
+def framed(image: np.ndarray) -> np.ndarray:
+    """An array (H, W, C) with zeros around, where warps end: ((H + 3) (W + 3), C)."""
+    padded = np.pad(image, ((1, 2), (1, 2), (0, 0)))
+    return np.ascontiguousarray(padded).reshape(-1, image.shape[2])
+
+
+def planes(image: Tensor) -> np.ndarray:
+    """A picture (1, 3, H, W) `framed`, colour by colour: (3, (H + 3) (W + 3)) float32."""
+    return np.ascontiguousarray(framed(image[0].permute(1, 2, 0).numpy()).T, np.float32)
+
+
 @dataclass(frozen=True)
 class Field:
     """Flow and occlusion of B frames as arrays."""
@@ -114,7 +125,7 @@ class FoldedFlow:
         self.shape = (count, 4 * (regions.shift.shape[1] + 1), height, width)
         self.dtype, self.corners = dtype, predictor.align_corners
         self.revert = predictor.revert_axis_swap
-        self.small = warp_kernel.planes(small[0].permute(1, 2, 0).numpy())
+        self.small = planes(small)
         self.regions = regions
         self.still = np.empty((height, regions.shift.shape[1], width), np.float32)
         warp_kernel.gaussians(regions.shift[0].numpy(), _precision(regions)[0], self.still)

@@ -26,7 +26,7 @@ from torch import Tensor
 from data_prep.speaker.crop import Crop, cut_out
 from mraa.fast import enabled
 from mraa.fast.compiled import compiled
-from mraa.grid import coordinate_grid
+from mraa.grid import coordinate_grid, resize_flow
 
 STILL = np.float32(1 / 64)
 """Pixels; a shift below this leaves the photo's pixel as it is."""
@@ -325,7 +325,7 @@ class FullSize:
 
         Args:
             flow: (b, h, w, 2) source coordinates (x, y) in [-1, 1], h = w.
-            occlusion: (b, 1, h, w) in [0, 1]; 1 where the source shows what is needed.
+            occlusion: (b, 1, h', w') in [0, 1], h' = w'; 1 where the source shows what is needed.
             painted: (b, 3, g, g) in [0, 1], the generated pictures before the last blend.
 
         Returns:
@@ -334,6 +334,9 @@ class FullSize:
         count, side = len(flow), painted.shape[-1]
         grid = coordinate_grid(flow.shape[1], flow.shape[2], flow.device)
         shift = (flow - grid) * ((side - 1) / 2 * self.size / side)  # in pixels of the square
+        if shift.shape[1:3] != occlusion.shape[2:]:
+            fine = occlusion.shape[2:]
+            shift = resize_flow(shift, *fine, align_corners=self.align_corners)
         maps = torch.cat([shift, occlusion[:, 0, ..., None]], dim=-1).float()
         colours = painted.float()
         if self.size < side:  # taps between four pixels would alias
@@ -342,7 +345,7 @@ class FullSize:
         colours = (colours * 255).permute(0, 2, 3, 1)
         small = maps.flatten(2).contiguous().cpu().numpy()  # (b, h, 3 w)
         large = colours.flatten(2).contiguous().cpu().numpy()  # (b, g, 3 g)
-        map_taps = _map_taps(self.size, side, flow.shape[1], self.align_corners)
+        map_taps = _map_taps(self.size, side, maps.shape[1], self.align_corners)
         out = np.empty((count, *self.shape, 3), np.uint8)
 
         def one(n: int) -> None:

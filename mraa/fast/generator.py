@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from mraa.blocks import ResBlock
 from mraa.fast import warp_kernel
 from mraa.fast.convolution import Convolution, same_convolution
-from mraa.fast.flow import Field, FoldedFlow, Shape, empty, pixels, up_convolution
+from mraa.fast.flow import Field, FoldedFlow, Shape, empty, framed, pixels, planes, up_convolution
 from mraa.fast.folding import blocks, fold, norm_line
 from mraa.generator import DeepGenerator, ImageGenerator, LiteGenerator
 from mraa.regions import Regions
@@ -28,7 +28,7 @@ class Features:
         self.dtype = dtype
         self.shape = features.shape[1:]
         bits = pixels(features.to(dtype, memory_format=torch.channels_last))[0]
-        self.array = warp_kernel.framed(bits)
+        self.array = framed(bits)
 
     def blend(
         self, field: Field, generated: Tensor | None, lie: int, *, warped: bool = True
@@ -141,6 +141,7 @@ class FoldedDeep:
         self.pose_down = same_convolution(fold(down.conv, down.norm), seen, dtype=dtype)
         self.bottleneck = Bottleneck(generator.bottleneck, eighth, dtype)
         self.refine = Bottleneck(generator.refine, quarter, dtype)
+        self.sharpen = Bottleneck(generator.sharpen, half, dtype)
         sizes = [(count, *eighth[2:]), (count, *quarter[2:])]
         ups = zip(generator.up_blocks, sizes, strict=True)
         self.ups = [up_convolution(up, at, dtype) for up, at in ups]
@@ -148,7 +149,10 @@ class FoldedDeep:
         self.half, self.quarter, self.eighth = (Features(f, dtype) for f in features)
 
     def __call__(self, field: Field) -> Tensor:
-        """Logits of the generated picture, (B, 12, H / 2, W / 2) as a pixel shuffle reads."""
+        """Logits of the generated picture, (B, 12, H / 2, W / 2) as a pixel shuffle reads.
+
+        With a fine occlusion there are 16 channels, its logits last.
+        """
         size = self.quarter.shape[1:]
         seen = field.features
         if seen.shape[2:] != size:
@@ -158,7 +162,8 @@ class FoldedDeep:
         x = self.bottleneck(x.add_(self.pose_down(F.avg_pool2d(pose, 2))))
         x = self.quarter.blend(field, self.ups[0](x), warp_kernel.PHASES)
         x = self.refine(x.add_(pose))
-        return self.final(self.half.blend(field, self.ups[1](x), warp_kernel.PHASES))
+        x = self.half.blend(field, self.ups[1](x), warp_kernel.PHASES)
+        return self.final(self.sharpen(x))
 
 
 FoldedGenerator = FoldedPaper | FoldedLite | FoldedDeep
@@ -196,7 +201,7 @@ class Folded:
 
     def __init__(self, renderer: Renderer, source: Source, count: int, dtype: torch.dtype) -> None:
         self.size = source.image.shape[2:]
-        self.photo = warp_kernel.planes(source.image[0].permute(1, 2, 0).numpy())
+        self.photo = planes(source.image)
         self.flow = FoldedFlow(renderer.flow, source.small, source.regions, count, dtype)
         self.generator = fold_generator(renderer.generator, source.features, count, dtype)
 
@@ -207,6 +212,8 @@ class Folded:
         logits = self.generator(field)
         count, (height, width) = len(field.flow), self.size
         made = np.empty((count, 3, height, width) if painted else (0, 3, 0, 0), np.float32)
+        fine = painted and logits.shape[1] > 12
+        shown = np.empty((count, height, width) if fine else (0, 0, 0), np.float32)
         frames = np.empty((count, height, width, 3), np.uint8)
         warp_kernel.picture(
             self.photo,
@@ -216,7 +223,9 @@ class Folded:
             pixels(logits),
             self.generator.skips,
             made,
+            shown,
             frames,
         )
-        flow, occlusion = torch.from_numpy(field.flow), torch.from_numpy(field.occlusion)
+        flow = torch.from_numpy(field.flow)
+        occlusion = torch.from_numpy(shown if fine else field.occlusion)
         return Parts(flow, occlusion[:, None], torch.from_numpy(made), frames)

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from mraa.blocks import DownBlock, PostResBlock, ResBlock, SameBlock, UpBlock
 from mraa.fast.folding import fold
 from mraa.flow import Flow
+from mraa.generator import DeepGenerator
 from mraa.regions import Regions
 from mraa.renderer import Parts, Renderer, Source, to_pixels
 
@@ -90,8 +91,8 @@ class Accelerated:
             self.result = self._compute()
         self.replay = graph.replay
 
-    def _compute(self) -> tuple[Flow, Tensor, Tensor]:
-        """Flow, generated picture and frames (B, H, W, 3) uint8 of the poses that are set."""
+    def _compute(self) -> tuple[Flow, Tensor, Tensor, Tensor]:
+        """Flow, occlusion, generated picture and frames (B, H, W, 3) uint8 of the set poses."""
         driving = Regions(self.shift, self.covariance, self.affine)
         source = Regions(
             *(
@@ -106,7 +107,9 @@ class Accelerated:
             flow = self.renderer.flow.from_small(self.small, source, driving, self.background)
             painted = generator.paint(self.features, flow)
             frames = generator.blend(self.photo, painted, flow)
-        return flow, painted.float(), to_pixels(frames.float())
+            deep = isinstance(generator, DeepGenerator)
+            shown = generator.shown(painted, flow) if deep else flow.occlusion
+        return flow, shown, painted[:, :3].float(), to_pixels(frames.float())
 
     @torch.no_grad()
     def __call__(self, driving: Regions, background: Tensor, painted: bool) -> Parts:
@@ -119,10 +122,10 @@ class Accelerated:
             self.result = self._compute()
         else:
             self.replay()
-        flow, made, frames = self.result
+        flow, shown, made, frames = self.result
         return Parts(
             flow.flow.float().cpu(),
-            flow.occlusion.float().cpu(),
+            shown.float().cpu(),
             made.cpu() if painted else made[:0].cpu(),
             frames.cpu().numpy(),
         )

@@ -25,17 +25,6 @@ phase 2 i + j of place (y + i, x + j), as a 2x2 convolution with one pixel of pa
 """
 
 
-def framed(image: np.ndarray) -> np.ndarray:
-    """An array (H, W, C) with zeros around, where warps end: ((H + 3) (W + 3), C)."""
-    padded = np.pad(image, ((1, 2), (1, 2), (0, 0)))
-    return np.ascontiguousarray(padded).reshape(-1, image.shape[2])
-
-
-def planes(image: np.ndarray) -> np.ndarray:
-    """A picture (H, W, 3) `framed`, colour by colour: (3, (H + 3) (W + 3)) float32."""
-    return np.ascontiguousarray(framed(image).T, np.float32)
-
-
 def _load(value: Any) -> Any:
     """float32 of an activation, which is one or the bits of a bfloat16."""
     return value
@@ -166,7 +155,7 @@ def _row_sample(
     picture: np.ndarray, plane: int, wide: int, place: np.ndarray, u: np.ndarray, v: np.ndarray,
     out: np.ndarray,
 ) -> None:  # fmt: skip
-    """One colour of the `planes` of a picture, rows of `wide`, at what `_row_taps` gave."""
+    """One colour of the planes of a picture, rows of `wide`, at what `_row_taps` gave."""
     for i in range(len(place)):
         a, b = picture[plane, np.uint32(place[i])], picture[plane, np.uint32(place[i] + 1)]
         c = picture[plane, np.uint32(place[i] + wide)]
@@ -204,7 +193,7 @@ def flow_input(
     """What the flow predictor sees: for every region heatmap difference and deformed source.
 
     Args:
-        small: `planes` of the small source (h, w, 3).
+        small: `mraa.fast.flow.planes` of the small source (h, w, 3).
         still: (h, K, w) float32, `gaussians` of the source.
         shift: (b, K, 2) float32 of the driving regions.
         precision: (b, K, 3) float32 of the driving regions.
@@ -296,7 +285,7 @@ def blend(
     """Source features warped by the flow where the source shows them, generated ones elsewhere.
 
     Args:
-        features: (pixels, C), those of the source (H, W, C), `framed`.
+        features: (pixels, C), those of the source (H, W, C), `mraa.fast.flow.framed`.
         flow: (b, h, w, 2) float32 source coordinates; resized to (H, W) bilinearly.
         occlusion: (b, h, w) float32, 1 where the source shows what is needed.
         corners: grid convention of warp and resize.
@@ -355,20 +344,29 @@ def join(phases: np.ndarray, skip: np.ndarray, out: np.ndarray) -> None:
 
 
 @compiled
+def _row_logits(logits: np.ndarray, n: int, j: int, channel: int, line: np.ndarray) -> None:
+    """Row `j` of a channel of frame n, as a pixel shuffle by 2 reads it: (W,)."""
+    first = 4 * channel + 2 * (j % 2)
+    for i in range(len(line) // 2):
+        line[2 * i] = _load(logits[n, j // 2, i, first])
+        line[2 * i + 1] = _load(logits[n, j // 2, i, first + 1])
+
+
+@compiled
 def picture(
     photo: np.ndarray, flow: np.ndarray, occlusion: np.ndarray, corners: bool,
-    logits: np.ndarray, warped: bool, painted: np.ndarray, out: np.ndarray,
+    logits: np.ndarray, warped: bool, painted: np.ndarray, fine: np.ndarray, out: np.ndarray,
 ) -> None:  # fmt: skip
     """The frames: sigmoid of the generator's logits, blended with the warped photo.
 
     Args:
-        photo: `planes` of the photo (H, W, 3) in [0, 1].
+        photo: `mraa.fast.flow.planes` of the photo (H, W, 3) in [0, 1].
         flow: as in `blend`.
-        occlusion: as in `blend`.
-        corners: as in `blend`.
-        logits: (b, H / 2, W / 2, 12), in the order that a pixel shuffle by 2 reads.
+        occlusion, corners: as in `blend`.
+        logits: (b, H / 2, W / 2, 12) for a pixel shuffle by 2; 16 with a fine occlusion's.
         warped: False leaves the photo out.
         painted: (b, 3, H, W) float32, written: the generated picture; or of size 0.
+        fine: (b, H, W) float32, written: the occlusion so moved; or of size 0.
         out: (b, H, W, 3) uint8, written.
     """
     height, width = out.shape[1:3]
@@ -382,11 +380,14 @@ def picture(
             if warped:
                 _row_flow(flow, occlusion, n, j, height, corners, across, down, shown)
                 _row_taps(across, down, height, width, corners, place, u, v)
+            if logits.shape[3] > 12:
+                _row_logits(logits, n, j, 3, line)
+                for i in range(width):
+                    shown[i] /= shown[i] + (one - shown[i]) * _exp(-line[i])
+                if fine.size:
+                    fine[n, j] = shown
             for e in range(3):
-                first = 4 * e + 2 * (j % 2)
-                for i in range(width // 2):
-                    line[2 * i] = _load(logits[n, j // 2, i, first])
-                    line[2 * i + 1] = _load(logits[n, j // 2, i, first + 1])
+                _row_logits(logits, n, j, e, line)
                 for i in range(width):
                     made[e, i] = one / (one + _exp(-line[i]))
                 if warped:

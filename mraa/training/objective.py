@@ -39,8 +39,8 @@ class RendererTraining:
     milestones: tuple[float, ...] = (0.6, 0.9)
     """Parts of the run after which the rate falls to a tenth (epochs 60 and 90 of 100)."""
     perceptual_backend: str = "auto"
-    """What compares the pictures: vgg19, random_vgg, lap or random_vgg+lap (see
-    `mraa.perceptual`); auto is vgg19 where its weights are given, else random_vgg+lap."""
+    """What compares the pictures: vgg19, random_vgg, lap, random_vgg+lap, imagenet or imagenet+lap
+    (see `mraa.perceptual`); auto is vgg19 where its weights are given, else random_vgg+lap."""
     perceptual_weights: str = ""
     """File of VGG19's weights, torchvision's state dict as .pth or .safetensors."""
     perceptual_width: int = 32

@@ -33,9 +33,19 @@ def psnr(value, wanted):
     return float(-10 * torch.log10(error.clamp_min(1e-20)))
 
 
+DESIGNS = ["paper", "lite", "deep", "fine"]
+"""Designs of generators; "fine" is "deep" with blocks at a half and an occlusion of every pixel."""
+
+
 def make(design, regions=5, **changes):
     """A small renderer whose norms do something and whose output is not saturated."""
-    sizes = GeneratorConfig(design, width=16 if design == "paper" else 32, bottleneck_blocks=2)
+    more = {"refine_blocks": 1, "half_blocks": 1, "fine_occlusion": True}
+    sizes = GeneratorConfig(
+        "deep" if design == "fine" else design,
+        width=16 if design == "paper" else 32,
+        bottleneck_blocks=2,
+        **more if design == "fine" else {},
+    )
     config = RendererConfig(
         regions=regions,
         estimator=HourglassConfig(8, 3, 32),
@@ -99,7 +109,7 @@ def plain(renderer, photo, regions, motion, background=None):
 
 
 @pytest.mark.parametrize("corners", [True, False])
-@pytest.mark.parametrize("design", ["paper", "lite", "deep"])
+@pytest.mark.parametrize("design", DESIGNS)
 def test_float32_is_exact(design, corners):
     renderer, photo = make(design, align_corners=corners), picture()
     regions, motion = poses(renderer, photo, 5)
@@ -145,7 +155,7 @@ def test_other_sizes_and_numbers_of_regions(size, count):
 
 
 @needs_bf16
-@pytest.mark.parametrize("design", ["paper", "lite", "deep"])
+@pytest.mark.parametrize("design", DESIGNS)
 def test_bfloat16_is_near(design):
     renderer, photo = make(design), picture()
     regions, motion = poses(renderer, photo, 4)
@@ -156,7 +166,7 @@ def test_bfloat16_is_near(design):
 
 
 @pytest.mark.parametrize("precision", ["fp32", pytest.param("bf16", marks=needs_bf16)])
-@pytest.mark.parametrize("design", ["paper", "lite", "deep"])
+@pytest.mark.parametrize("design", DESIGNS)
 def test_the_same_bits_however_the_motion_is_cut(design, precision):
     renderer, photo = make(design), picture()
     regions, motion = poses(renderer, photo, 11)
@@ -190,7 +200,7 @@ def test_the_renderer_is_left_as_it_was():
         assert torch.equal(value, before[key])
 
 
-@pytest.mark.parametrize("design", ["paper", "lite", "deep"])
+@pytest.mark.parametrize("design", DESIGNS)
 def test_the_way_of_gpus_is_exact_in_float32(design):
     renderer, photo = make(design), picture()
     regions, motion = poses(renderer, photo, 2)
