@@ -107,8 +107,9 @@ class Accelerated:
             flow = self.renderer.flow.from_small(self.small, source, driving, self.background)
             painted = generator.paint(self.features, flow)
             frames = generator.blend(self.photo, painted, flow)
-            deep = isinstance(generator, DeepGenerator)
-            shown = generator.shown(painted, flow) if deep else flow.occlusion
+            shown = flow.occlusion
+            if isinstance(generator, DeepGenerator):
+                shown = generator.shown(painted, flow)
         return flow, shown, painted[:, :3].float(), to_pixels(frames.float())
 
     @torch.no_grad()

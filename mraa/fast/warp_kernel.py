@@ -362,7 +362,8 @@ def picture(
     Args:
         photo: `mraa.fast.flow.planes` of the photo (H, W, 3) in [0, 1].
         flow: as in `blend`.
-        occlusion, corners: as in `blend`.
+        occlusion: as in `blend`.
+        corners: as in `blend`.
         logits: (b, H / 2, W / 2, 12) for a pixel shuffle by 2; 16 with a fine occlusion's.
         warped: False leaves the photo out.
         painted: (b, 3, H, W) float32, written: the generated picture; or of size 0.
@@ -370,11 +371,10 @@ def picture(
         out: (b, H, W, 3) uint8, written.
     """
     height, width = out.shape[1:3]
-    one = np.float32(1.0)
+    one, wide = np.float32(1.0), np.int32(width + 3)
     made, seen = np.empty((3, width), np.float32), np.zeros((3, width), np.float32)
     line, across, down, shown, u, v = np.zeros((6, width), np.float32)
     place = np.empty(width, np.int32)
-    wide = np.int32(width + 3)
     for n in range(len(out)):
         for j in range(height):
             if warped:
