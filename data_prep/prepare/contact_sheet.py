@@ -6,6 +6,7 @@ from pathlib import Path
 import av
 import av.error
 import cv2
+import imageio.v3 as iio
 import numpy as np
 from av.video.frame import VideoFrame
 
@@ -23,7 +24,7 @@ HEIGHT = 180
 _JUMP = 10.0
 """Seconds ahead from which on a video is searched rather than decoded through."""
 
-_USED, _REFUSED = (80, 220, 80), (60, 60, 235)
+_USED, _REFUSED = (80, 220, 80), (235, 60, 60)
 _QUALITY = 78
 
 
@@ -50,17 +51,14 @@ def write_sheet(path: Path, outcome: Outcome) -> int:
     ]
     if not tiles:
         return 0
-    good, data = cv2.imencode(".jpg", np.hstack(tiles), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    if not good:
-        raise RuntimeError(f"OpenCV could not encode the contact sheet {path}")
-    path.write_bytes(data.tobytes())
-    return len(data)
+    iio.imwrite(path, np.hstack(tiles), extension=".jpg", quality=_QUALITY)
+    return path.stat().st_size
 
 
 def _pictures(
     path: Path, times: Sequence[float], origin: float, size: tuple[int, int]
 ) -> Iterator[tuple[float, np.ndarray]]:
-    """The first frame at or after each time, upright, BGR; what cannot be decoded is left out."""
+    """The first frame at or after each time, upright, RGB; what cannot be decoded is left out."""
     try:
         with open_media(path) as container:
             stream = container.streams.video[0]
@@ -83,7 +81,7 @@ def _pictures(
 def _upright(frame: VideoFrame, size: tuple[int, int]) -> np.ndarray:
     turns = round(frame.rotation / 90) % 4
     width, height = size[::-1] if turns % 2 else size
-    picture = frame.reformat(width=width, height=height, format="bgr24").to_ndarray()
+    picture = frame.reformat(width=width, height=height, format="rgb24").to_ndarray()
     return np.ascontiguousarray(np.rot90(picture, turns))
 
 
