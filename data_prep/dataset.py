@@ -314,7 +314,7 @@ class Dataset:
         )
 
     def words(self, clip: Clip) -> list[Word] | None:
-        """Words of a clip with times from its start; None when nobody told them."""
+        """Words of a clip with times from its start; None if the clip has no transcript."""
         path = self.path / "words" / f"{clip.id}.json"
         if not path.exists():
             return None

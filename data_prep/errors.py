@@ -1,4 +1,4 @@
-"""The one exception that means "what you gave cannot be used", and how a script tells it."""
+"""The one exception that means "what you gave cannot be used", and how a script reports it."""
 
 import sys
 from collections.abc import Callable

@@ -21,7 +21,7 @@ from rich.progress import Task as RichTask
 from rich.text import Text
 
 console = Console(stderr=True)
-"""Messages to the person; standard output carries results alone."""
+"""Messages to the person; standard output carries results only."""
 
 
 class _Rate(ProgressColumn):
@@ -103,7 +103,7 @@ def spread(
                 break
             left.remove(index)
             yield tasks[index], result[0]
-        if broken:  # one of those that were begun did it: each of them gets a process alone
+        if broken:  # one of the running jobs did it: each is tried again in a process of its own
             for index in left[: jobs + 1]:
                 done = next(_run(work, tasks, [index], 1))[1]
                 yield tasks[index], None if done is None else done[0]
@@ -131,7 +131,7 @@ def _run(
             yield futures[future], (result,)
         done = True
     finally:
-        if not done:  # stopped on the way: nobody waits for what is still going on
+        if not done:  # stopped early: do not wait for the jobs still running
             for process in set(multiprocessing.active_children()) - others:
                 process.terminate()
         pool.shutdown(cancel_futures=True)
@@ -140,7 +140,7 @@ def _run(
 @contextmanager
 def _held_back_interrupts() -> Iterator[None]:
     """Ctrl-C comes after the block; processes begun in it never see it, not even as they start."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows: `_begin` alone, a moment later
+    if not hasattr(signal, "pthread_sigmask"):  # Windows: `_begin` ignores it, a moment later
         yield
         return
     resource_tracker.ensure_running()  # its own start would let the signal through

@@ -82,7 +82,7 @@ MAX_GAP = 0.05
 """Seconds by which timestamps may wander before silence is put in or samples are taken out."""
 
 _DECLARED_LENGTH = ("w64", "flac", "mov", "caf", "aiff")
-"""Containers whose header counts the samples, so that a file cut short can be told."""
+"""Containers whose header counts the samples, so that a truncated file can be recognised."""
 
 _WITHOUT_GAPS = ("flac", "ogg")
 """Containers in which a gap of the timestamps means that a part was lost."""
@@ -93,7 +93,7 @@ _KNOWN_LAYOUT = {1: "mono", 2: "stereo", 3: "3.0", 4: "quad", 5: "5.0", 6: "5.1"
 
 
 class Recording:
-    """An open recording whose samples come as a stream; made by `open_recording`.
+    """An open recording whose samples come as a stream; see `open_recording`.
 
     Attributes:
         path: the file.
@@ -240,7 +240,7 @@ def _with_layout(frame: AudioFrame) -> AudioFrame:
 
 @contextmanager
 def open_recording(path: Path) -> Iterator[Recording]:
-    """Open the sound of a recording or video; `sound_track` tells which of several tracks.
+    """Open the sound of a recording or video; `sound_track` chooses among several tracks.
 
     Raises:
         BadInput: missing, a folder, 0 bytes, not media, without sound, or damaged.
@@ -279,8 +279,8 @@ def read_sound(path: Path, rate: int = SAMPLE_RATE, origin: float | None = None)
         grown = array("f")  # in place: an hour of sound is large enough not to be held twice
 
         def put(mono: np.ndarray, last: bool = False) -> None:
-            made = np.nan_to_num(converter.resample_chunk(mono, last=last))
-            grown.frombytes(np.clip(made, -1.0, 1.0).tobytes())
+            block = np.nan_to_num(converter.resample_chunk(mono, last=last))
+            grown.frombytes(np.clip(block, -1.0, 1.0).tobytes())
 
         put(np.zeros(max(lead, 0), np.float32))
         count, skip = max(lead, 0), max(-lead, 0)

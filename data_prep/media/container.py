@@ -1,4 +1,4 @@
-"""Opening media files, with every failure told in one line."""
+"""Opening media files, with every failure reported in one line."""
 
 import shlex
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ _LENIENT: dict[str, Any] = (
 """Metadata that is not UTF-8 is no reason to refuse a file; PyAV 19 never does."""
 
 MAX_JUMP_AHEAD, MAX_JUMP_BACK = 3600.0, 1.0
-"""Seconds by which time stamps may leap; beyond, parts were joined without mending them."""
+"""Seconds by which time stamps may jump; beyond that, files were joined without correcting them."""
 
 
 def check_file(path: Path) -> None:
@@ -57,7 +57,7 @@ def check_jump(path: Path, before: float, after: float) -> None:
 
 
 def describe(error: Exception) -> str:
-    """The part of a decoder's error that tells a person something, on one line."""
+    """The readable part of a decoder's error, on one line."""
     text = getattr(error, "strerror", None) or str(error)
     return " ".join(str(text).split()).rstrip(".") or type(error).__name__
 

@@ -85,7 +85,7 @@ def _square_pixel_width(stream: VideoStream, width: int) -> int:
 
 
 class _Converter:
-    """Turns frames upright, by the colours that their tags (or their size) tell.
+    """Converts frames to upright pixels, with the colour matrix that their tags (or size) imply.
 
     Attributes:
         format: "rgb24" or "gray".
@@ -117,7 +117,7 @@ class _Converter:
             height=height,
             format=self.format,
             src_colorspace=matrix,
-            dst_colorspace=_BT601,  # none for RGB; it must only be told apart from the source's
+            dst_colorspace=_BT601,  # has no effect on RGB; it must only differ from the source's
             src_color_range=_FULL_RANGE if full else _LIMITED_RANGE,
             dst_color_range=_FULL_RANGE,
             interpolation="AREA" if self.longest is not None else None,

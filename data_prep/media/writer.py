@@ -87,7 +87,7 @@ class VideoWriter:
             origin: presentation time in the recording's file that time 0 of this video has (the
                 start of that file's pictures, for sound in step with them); None for the
                 sound's own first sample.
-            fit: end the sound with the picture: cut, or followed by silence. `cut` tells then.
+            fit: end the sound with the picture: cut (then `cut` is set) or padded with silence.
 
         Raises:
             BadInput: the recording cannot be read (see `read_sound`).
@@ -240,7 +240,7 @@ class VideoWriter:
         if kind is None:
             self.close()
             return
-        # The error under way is the one to tell, not a second one from the unfinished file.
+        # Report the error under way, not a second one from the unfinished file.
         with contextlib.suppress(av.error.FFmpegError):
             self._open.close()
 
@@ -280,7 +280,7 @@ class WriteThread:
     FFmpeg lets Python go on while it converts and encodes. Leave this block before the writer's.
 
     Args:
-        video: an open writer, used by nobody else meanwhile.
+        video: an open writer, not used elsewhere meanwhile.
         held: most batches that wait.
     """
 
@@ -307,7 +307,7 @@ class WriteThread:
             try:
                 for frame in frames:
                     self._video.write(frame)
-            except BaseException as error:  # told to the caller, whose error it is
+            except BaseException as error:  # raised again in the caller's thread
                 self._error = error
 
     def _raise(self) -> None:

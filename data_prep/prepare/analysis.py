@@ -190,7 +190,7 @@ class Analysis:
         shots: all frames as shots, and fades between them.
         camera: its motion, in pixels of the original picture.
         sightings: faces in pixels of the original picture.
-        bars: tells where the picture has black bars.
+        bars: where the picture has black bars.
     """
 
     frames: int
@@ -209,7 +209,7 @@ def analyse(path: Path, info: VideoInfo, faces: bool = True) -> Analysis:
 
     Args:
         path: the video.
-        info: what `probe` tells of it.
+        info: as `probe` returns it.
         faces: whether to look for faces.
 
     Raises:

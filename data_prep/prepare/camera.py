@@ -33,7 +33,7 @@ background is sought; and the most of the picture's width that the columns take 
 
 _STILL, _STILL_SHARE, _STILL_LEAD = 0.5, 0.3, 0.6
 """Pixels, part of the points, and part of those that move as one, by which points that stay
-where they are tell of a still camera: a person may have more points than the background."""
+where they are mean a still camera: a person may have more points than the background."""
 
 _SPREAD = 0.8
 """Width and height over which points must lie, in those of the picture, added up; the points of
@@ -108,7 +108,7 @@ class CameraTracker:
         self._matrices.extend([self._current] * frames)
 
     def hold(self, frames: int = 1) -> None:
-        """Take the camera for still in the next picture: nobody knows where the people are."""
+        """Take the camera for still in the next picture, as it is not known where people are."""
         self.lost = False
         self._held = 0
         self._matrices.extend([self._current] * frames)

@@ -75,7 +75,7 @@ def _pictures(
                         yield now, _upright(frame, size)
                         break
     except (BadInput, av.error.FFmpegError, OSError, ValueError, IndexError):
-        return  # the sheet ends where the picture is damaged; the outcome tells of it
+        return  # the sheet ends where the picture is damaged; the outcome says so
 
 
 def _upright(frame: VideoFrame, size: tuple[int, int]) -> np.ndarray:

@@ -65,7 +65,7 @@ def ingest(
 
     The video is decoded twice: small and grey to find shots, camera motion, people and black
     bars; then to cut the clips. The frames of one clip are held at a time. Whatever is wrong
-    with the video is told in the outcome; nothing is raised for it.
+    with the video is recorded in the outcome; nothing is raised for it.
 
     Args:
         source: the video; where it names intervals, only these are cut.
@@ -227,7 +227,7 @@ class Order:
 def make_source(order: Order) -> Record:
     """Make the files of a source in a folder of its own.
 
-    Nothing is raised for what is wrong with the video: its record tells it.
+    Nothing is raised for what is wrong with the video; its record says it.
 
     Raises:
         OSError: the disk is full. That is no video's fault, and the next run goes on there.

@@ -32,7 +32,7 @@ class Span:
 
 @dataclass(frozen=True)
 class ClipDetail:
-    """What a report tells of a clip besides its row in the table.
+    """What the report needs of a clip besides its row in the table.
 
     Attributes:
         span: number of the span it was cut from.
@@ -79,7 +79,7 @@ class IngestionConfig:
         person: "left", "right" or "largest" where several people are in the picture; None
             refuses such spans.
         stabilize: undo a moving camera; otherwise spans in which it moves are dropped.
-        silent_ok: keep videos without sound, for training of the renderer alone.
+        silent_ok: keep videos without sound, for training the renderer only.
         shortest: seconds of the shortest clip that is planned.
         longest: seconds of the longest clip.
     """

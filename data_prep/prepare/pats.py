@@ -136,7 +136,7 @@ def pats_sources(
     """Find the videos of intervals among those that are there.
 
     A video is found by the stem of `video_fn`, whatever its ending and punctuation, or by the
-    id in `video_link`, alone or at the end of the name.
+    id in `video_link`, as the whole name or at its end.
 
     Args:
         intervals: of the table.
@@ -231,7 +231,7 @@ def _stem(name: str) -> str:
 
 
 def _bare(text: str) -> str:
-    """Letters and digits alone, in one case; ids keep their dashes' absence as well."""
+    """Letters and digits only, in lower case; ids lose their dashes too."""
     return "".join(c for c in unicodedata.normalize("NFKC", text).casefold() if c.isalnum())
 
 

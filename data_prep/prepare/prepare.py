@@ -153,7 +153,7 @@ def _hash(sources: list[Source], jobs: int) -> list[_Found]:
         try:
             return _Found(source, sha256(source.path) if source.path.stat().st_size else "")
         except OSError:
-            return _Found(source, "")  # its record will tell why
+            return _Found(source, "")  # its record will say why
 
     with ThreadPoolExecutor(max(1, min(jobs, 8))) as threads:
         return list(threads.map(found, sources))
@@ -192,13 +192,13 @@ def _identity(content: str, source: Source) -> tuple[str, str]:
 def _order(found: _Found, config: IngestionConfig, output: Path) -> Order:
     source = found.source
     transcript = find_transcript(source.path)
-    told = ""
+    identity = ""
     if transcript is not None:
         try:
-            told = transcript.name[len(source.path.stem) :] + sha256(transcript)
+            identity = transcript.name[len(source.path.stem) :] + sha256(transcript)
         except OSError as error:
-            told = f"{transcript.name}: {error.strerror}"
-    key = key_of(source, found.sha256, told, config)
+            identity = f"{transcript.name}: {error.strerror}"
+    key = key_of(source, found.sha256, identity, config)
     return Order(source, found.sha256, key, config, transcript, making(output, source.name))
 
 
@@ -221,7 +221,7 @@ def _nothing_kept(records: list[Record]) -> str:
 
 
 def _write(folder: Path, summary: Summary, dataset: Dataset | None) -> None:
-    """Write what tells of all the sources together."""
+    """Write the files that describe all sources together."""
     write_table(folder / TABLE, summary.split.clips, FPS)
     missing = list(summary.missing or ())
     if dataset is not None and (dataset.path / MISSING).exists():

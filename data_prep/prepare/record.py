@@ -180,7 +180,7 @@ def _span(entry: dict[str, Any]) -> Span:
 
 
 def is_whole(folder: Path, record: Record) -> bool:
-    """Whether all files that a record tells of are there, with the sizes that it tells."""
+    """Whether all files of a record exist with the sizes recorded."""
     sizes = {folder / path: size for path, size in record.files.items()}
     if record.sheet:
         sizes[sheet_path(folder, record.name)] = record.sheet

@@ -109,7 +109,7 @@ def write_report(folder: Path, summary: Summary) -> None:
 
 
 def report_numbers(summary: Summary) -> dict[str, Any]:
-    """All that the report tells, ready for JSON; durations in seconds."""
+    """Content of the report, ready for JSON; durations in seconds."""
     details = _details(summary)
     given = sum(r.outcome.info.duration for r in summary.records if r.outcome.info)
     heights = [detail.face_height for detail in details if detail.face_height > 0]

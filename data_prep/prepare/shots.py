@@ -25,7 +25,7 @@ _JUMP_CHANGE, _JUMP_RATIO = 2.0, 6.0
 """The same for a jump within a scene: less change, but standing out further."""
 
 _AROUND = 8
-"""Pictures on either side that tell how much change is usual."""
+"""Pictures on either side from which the usual change is estimated."""
 
 _USUAL = 0.75
 """Quantile of the changes around; above a half, as sources may repeat every other picture."""
@@ -68,7 +68,7 @@ def _block_means(picture: np.ndarray) -> np.ndarray:
 
 
 class ShotDetector:
-    """Compares the pictures of a video as they come; keeps small copies of the last 41 alone.
+    """Compares the pictures of a video as they come; keeps small copies of the last 41 only.
 
     A cut changes most of the picture at once, a jump cut stands far above the changes around
     it, and in a fade (to another scene, to black or from white) every picture is the mean of

@@ -40,7 +40,7 @@ class Source:
 
 
 def plain(text: str) -> str:
-    """Letters, digits, dots, dashes and underscores alone: fit for file names everywhere."""
+    """Letters, digits, dots, dashes and underscores only: valid file names everywhere."""
     text = unicodedata.normalize("NFC", text)  # some systems keep accents apart
     return re.sub(r"[^\w.-]+", "-", text).strip("-.") or "video"
 

@@ -128,7 +128,7 @@ def find_takes(
 
     Args:
         analysis: of the video.
-        info: what `probe` tells of it.
+        info: as `probe` returns it.
         config: what to keep.
         frames: of the video that have sound; the others are not judged.
 
@@ -219,7 +219,7 @@ def _moved(face: Face, matrix: np.ndarray) -> Face:
 
 
 def _given(span: Span, view: View, seen: Sequence[Sighting], reference: int | None) -> Take:
-    """A take with the user's own square; the face in it is told, not judged."""
+    """A take with the user's own square; the face in it is recorded but not judged."""
     crop = span.crop
     assert crop is not None
     inside = [

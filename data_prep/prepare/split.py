@@ -16,7 +16,7 @@ VAL_SHARE = 0.07
 """Part of the frames that is for choosing weights and settings."""
 
 MIN_SOURCES = 3
-"""Sources of a speaker from which on the splits share none."""
+"""Number of a speaker's sources from which on no source is shared between splits."""
 
 MIN_CLIPS_FOR_VAL = 8
 """Clips of a source that is divided in time from which on some are for validation."""

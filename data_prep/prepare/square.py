@@ -28,7 +28,7 @@ class Square:
         view: its picture between black bars.
         crop: the square, in pixels of the whole picture.
         frames: of the video at 25 fps; expected, where `cuts` is unknown.
-        cuts: changes of the shot; None where nobody has looked.
+        cuts: changes of the shot; None where they were not searched for.
     """
 
     path: Path
@@ -66,7 +66,7 @@ def find_square(path: Path, info: VideoInfo, person: str | None, option: str) ->
 
     Args:
         path: the video; it is decoded once, small.
-        info: what `probe` tells of it.
+        info: as `probe` returns it.
         person: "left", "right" or "largest" of several people; None refuses them.
         option: of the command that names a square, for messages.
 

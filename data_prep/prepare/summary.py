@@ -20,13 +20,13 @@ LEFT_OVER = "too short for a clip, or past the end of the sound"
 OUTSIDE = "outside of the intervals"
 
 SMALL = 0.75
-"""Part of the frames' size below which a crop is told to be small."""
+"""Part of the frames' size below which a crop is reported as small."""
 
 MUCH_FILLED = 0.15
-"""Part of a crop from which on it is told that it lies outside of the picture."""
+"""Part of a crop outside the picture above which this is reported."""
 
 NEGLIGIBLE = 0.05
-"""Seconds that rounding of durations leaves over, and that nobody need read of."""
+"""Seconds left over by rounding of durations; not worth reporting."""
 
 _MOST_LINES = 20
 
@@ -165,7 +165,7 @@ def _soft(record: Record) -> list[str]:
         lines.append(f"a crop of {min(sizes)} pixels is enlarged to {IMAGE_SIZE} and looks soft")
     filled = max(span.filled for span in used)
     if filled > MUCH_FILLED:
-        lines.append(f"{filled:.0%} of a crop lies outside of the picture and repeats its edge")
+        lines.append(f"{filled:.0%} of a crop lies outside the picture and repeats its edge")
     return lines
 
 

@@ -30,7 +30,7 @@ _MAKING = ".making"
 class Workplace:
     """The folder `.NAME.part` beside a dataset NAME; made by `workplace`.
 
-    Sources are made in folders of their own and put into place by one process alone: first the
+    Sources are made in folders of their own and put into place by a single process: first the
     files, then the record. So what has a record is whole, and what has none is swept away.
 
     Attributes:
@@ -92,14 +92,14 @@ class Workplace:
     def put(self, record: Record) -> None:
         """Move the files of a source from where it was made into place, its record last."""
         self._forget(record.name)
-        made = self.folder / _MAKING / record.name
+        source = self.folder / _MAKING / record.name
         for path in record.files:
-            os.replace(made / path, self.folder / path)
+            os.replace(source / path, self.folder / path)
         if record.sheet:
-            os.replace(made / "sheet.jpg", sheet_path(self.folder, record.name))
+            os.replace(source / "sheet.jpg", sheet_path(self.folder, record.name))
         write_record(self.folder, record)
         self.records[record.name] = record
-        shutil.rmtree(made, ignore_errors=True)
+        shutil.rmtree(source, ignore_errors=True)
 
     def _forget(self, name: str) -> None:
         record_path(self.folder, name).unlink(missing_ok=True)

@@ -56,7 +56,7 @@ def choose_person(faces: Sequence[Face], person: str) -> int:
 
 
 def speaker_crop(face: Face, height: int, width: int) -> Crop:
-    """The square around a speaker, from the face alone: upper body and reach of the hands.
+    """The square around a speaker, from the face only: upper body and reach of the hands.
 
     The side is `SIDE_IN_FACES` face heights with the face in the middle, `FACE_DOWN` from the
     top. A square that leaves the picture is moved inside; one larger than the picture shrinks

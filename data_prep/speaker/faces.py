@@ -165,7 +165,7 @@ def find_faces(
         image: `(H, W, 3)` uint8 RGB, or `(H, W)` grey.
         near: where the face was a moment ago; only its neighbourhood is searched, fast.
         sides: pixels of the long side at which the whole picture is searched; the next when
-            the first shows nobody from the front.
+            the first finds no frontal face.
 
     Returns:
         boxes in pixels of `image`, largest first.

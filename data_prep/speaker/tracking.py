@@ -14,7 +14,7 @@ WHOLE_STEP = 100
 """Frames after which the whole picture is searched."""
 
 _SOON, _LATEST = 25, 200
-"""Frames after which it is searched again when nobody is found: at first, and in the end."""
+"""Frames after which the search is repeated when nobody is found: at first, and at most."""
 
 _SIDES = (480, 720)
 """Long sides in pixels at which the whole picture is searched."""

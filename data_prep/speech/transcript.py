@@ -1,6 +1,6 @@
 """Transcripts that lie beside a video: found by their names, read whatever their format.
 
-Word times from a text and the sound alone: voiced time is shared out by syllables.
+Word times from plain text and the sound: voiced time is shared out by syllables.
 """
 
 import json
@@ -161,10 +161,10 @@ _LENGTHS = ("duration", "dur", "d")
 
 @dataclass(frozen=True)
 class Transcript:
-    """What a transcript tells.
+    """Content of a transcript.
 
     Attributes:
-        words: with times in seconds as the file counts them; empty where it tells none.
+        words: with times in seconds as the file counts them; empty where it has none.
         text: of a file without times, to be aligned with the sound.
         span: seconds of the sound that `text` covers, None for all of it.
     """
@@ -174,7 +174,7 @@ class Transcript:
     span: tuple[float, float] | None = None
 
     def aligned(self, samples: np.ndarray) -> list[Word]:
-        """The words, timed by the sound where the file told no times.
+        """The words, timed by the sound where the file has no times.
 
         Args:
             samples: `(N,)` mono at 16 kHz from the beginning of the sound.

@@ -143,7 +143,7 @@ def read_captions(text: str) -> list[Cue]:
     Where lines roll up, so that each is shown twice or more, it counts when it first appears.
 
     Raises:
-        ValueError: no line tells a time.
+        ValueError: no line has a time.
     """
     blocks = _blocks(text)
     if not blocks:
