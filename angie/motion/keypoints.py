@@ -25,12 +25,11 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from angie.motion.clips import MotionClip
-from data_prep.dataset import FeatureFiles, write_features
 from data_prep.errors import BadInput
 from data_prep.files import whole_file
 from data_prep.media.audio import read_sound
 from data_prep.rates import FPS
-from data_prep.speech.features import Speech
+from data_prep.speech.features import FeatureFiles, Speech, write_features
 from mraa.motion import UNREADABLE, Motion
 
 INDEX = "clips.csv"

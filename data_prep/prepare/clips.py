@@ -1,19 +1,32 @@
-"""The files of one clip, and whether a clip is worth keeping."""
+"""Clips: where to cut a long video, whether a clip is worth keeping, and the files of one."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
-from data_prep.dataset import encode_frame, write_features, write_frames
+from data_prep.dataset import encode_frame, write_frames
 from data_prep.media.audio import write_wav
 from data_prep.media.writer import VideoWriter
 from data_prep.prepare.spans import MIN_FRAMES, TOO_SHORT, Take
 from data_prep.rates import FPS, IMAGE_SIZE, SAMPLE_RATE, SAMPLES_PER_FRAME
 from data_prep.speaker.tracking import jumps
-from data_prep.speech.features import Speech
+from data_prep.speech.features import Speech, write_features
 from data_prep.speech.words import Word, slice_words, write_words
+
+SHORTEST = 4 * FPS
+"""Frames of the shortest clip that is planned (ANGIE's clips have 4 to 14 s)."""
+
+USUAL = 10 * FPS
+"""Frames of a clip where the sound does not ask for another length."""
+
+LONGEST = 14 * FPS
+
+_SMOOTHING = FPS // 5
+
+_FLOOR_DB = -80.0
 
 FOLDERS = ("video", "frames", "audio", "features", "words")
 """Folders of a dataset that hold one file for each clip."""
@@ -30,6 +43,50 @@ _SMALL = 64
 
 _INSIDE = 0.9
 """Part of the sightings in which the whole face must be in the crop."""
+
+
+def loudness(samples: np.ndarray, frames: int) -> np.ndarray:
+    """Level of the sound over 0.2 s around the start of each frame, `(frames,)` in dB."""
+    padded = np.zeros(frames * SAMPLES_PER_FRAME)
+    count = min(len(samples), len(padded))
+    padded[:count] = samples[:count]
+    power = np.mean(padded.reshape(frames, SAMPLES_PER_FRAME) ** 2, axis=1)
+    # The mean over an odd window is centred on a frame; a cut is at its start.
+    smooth = uniform_filter1d(power, _SMOOTHING, mode="nearest")
+    return np.maximum(10 * np.log10(np.maximum(smooth, 1e-12)), _FLOOR_DB)
+
+
+def clip_bounds(
+    samples: np.ndarray, frames: int, shortest: int = SHORTEST, longest: int = LONGEST
+) -> list[tuple[int, int]]:
+    """Cut a part of a video into clips that cover it without a gap.
+
+    Each cut is where loudness, and distance from the usual length, are least.
+
+    Args:
+        samples: `(N,)` mono sound at 16 kHz from the first frame on.
+        frames: of the part, at 25 a second.
+        shortest: frames of the shortest clip.
+        longest: frames of the longest clip; at least twice the shortest, or else the last may
+            be shorter than that.
+
+    Returns:
+        first and one past the last frame of each clip. All have `shortest` to `longest`
+        frames, unless the part itself is shorter.
+    """
+    level = loudness(samples, frames)
+    usual = min(max(USUAL, shortest), longest)
+    bounds: list[tuple[int, int]] = []
+    start = 0
+    while frames - start > longest:
+        most = max(min(longest, frames - start - shortest), shortest)
+        lengths = np.arange(shortest, most + 1)
+        cost = level[start + lengths] / 10 + ((lengths - usual) / SHORTEST) ** 2
+        stop = start + int(lengths[np.argmin(cost)])
+        bounds.append((start, stop))
+        start = stop
+    bounds.append((start, frames))
+    return bounds
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from data_prep.prepare.analysis import Analysis, analyse
 from data_prep.prepare.clips import (
     FOLDERS,
     Piece,
+    clip_bounds,
     fault,
     motion,
     piece_of_sound,
@@ -32,7 +33,7 @@ from data_prep.prepare.contact_sheet import write_sheet
 from data_prep.prepare.outcome import ClipDetail, IngestionConfig, Outcome, Span
 from data_prep.prepare.record import Record, files_of
 from data_prep.prepare.source import Source, sha256
-from data_prep.prepare.spans import MIN_FRAMES, NO_PERSON, TWO_PEOPLE, Take, clip_bounds, find_takes
+from data_prep.prepare.spans import MIN_FRAMES, NO_PERSON, TWO_PEOPLE, Take, find_takes
 from data_prep.rates import FPS, SAMPLE_RATE, SAMPLES_PER_FRAME, frames_covering
 from data_prep.speaker.crop import Crop, cut_out
 from data_prep.speech.transcript import read_transcript

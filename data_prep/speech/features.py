@@ -1,11 +1,18 @@
-"""Speech: a recording with its words and named features, computed when first asked for."""
+"""Speech: a recording with its words and named features, computed when first asked for.
 
+The files in which a dataset keeps features.
+"""
+
+import os
+import zipfile
 from collections.abc import Callable, Iterable, Mapping
-from typing import Protocol
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from data_prep.errors import BadInput
 from data_prep.rates import FPS, SAMPLE_RATE, frames_covering, tokens_covering
 from data_prep.speech.spectra import (
     MFCC_COLUMNS,
@@ -17,8 +24,10 @@ from data_prep.speech.spectra import (
 )
 from data_prep.speech.words import Word
 
-__all__ = ["FEATURES", "MFCC_COLUMNS", "MFCC_ROWS", "ONSET_SIZE", "FeatureStore", "Speech"]
-__all__ += ["register_feature"]
+__all__ = [
+    "FEATURES", "MFCC_COLUMNS", "MFCC_ROWS", "ONSET_SIZE", "FeatureFiles", "FeatureStore", "Speech",
+    "register_feature", "write_features",
+]  # fmt: skip
 
 Compute = Callable[["Speech"], NDArray]
 """Computes a feature of a recording from its samples, its words or other features."""
@@ -172,3 +181,67 @@ FEATURES: dict[str, Compute] = {
     "onset_times": lambda speech: onset_times(speech.samples),
 }
 """How each feature is computed."""
+
+PREPARED = ("onset", "mfcc", "onset_times")
+"""Features that every prepared clip has."""
+
+
+def write_features(path: Path, speech: Speech) -> None:
+    """Write the `PREPARED` features of a recording as npz, by their names."""
+    with Path(path).open("wb") as file:
+        arrays: dict[str, Any] = {name: speech[name] for name in PREPARED}
+        np.savez(file, **arrays)
+
+
+class FeatureFiles:
+    """Features of a clip by name: `ID.npz` with those prepared, `ID.NAME.npz` for each other.
+
+    Args:
+        path: `ID.npz`, as `write_features` wrote it.
+        frames: video frames of the clip; what is stored for later ones is left out. None takes
+            all that are stored.
+    """
+
+    def __init__(self, path: Path, frames: int | None = None) -> None:
+        self.path = Path(path)
+        self.frames = len(_read_arrays(self.path, ("mfcc",))[0]) if frames is None else frames
+
+    def read(self, name: str) -> NDArray | None:
+        """A feature, or None if it is not stored for this number of frames.
+
+        Raises:
+            BadInput: missing or damaged.
+        """
+        if name in PREPARED:
+            return self._cut(name, _read_arrays(self.path, (name,))[0])
+        path = self._other(name)
+        if not path.is_file():
+            return None
+        values, frames = _read_arrays(path, ("values", "frames"))
+        return values if frames == self.frames else None
+
+    def _cut(self, name: str, values: NDArray) -> NDArray:
+        if name == "onset_times":
+            return values[values < self.frames / FPS]
+        return values[: tokens_covering(self.frames) if name == "onset" else self.frames]
+
+    def write(self, name: str, values: NDArray) -> None:
+        """Store a feature that had to be computed, where the folder can be written."""
+        if not os.access(self.path.parent, os.W_OK):
+            return
+        path = self._other(name)
+        part = path.with_name(f".{path.name}.{os.getpid()}.part")
+        with part.open("wb") as file:
+            np.savez(file, values=values, frames=np.array(self.frames))
+        os.replace(part, path)
+
+    def _other(self, name: str) -> Path:
+        return self.path.with_name(f"{self.path.stem}.{name}.npz")
+
+
+def _read_arrays(path: Path, names: Iterable[str]) -> list[NDArray]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return [file[name] for name in names]
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise BadInput(f"{path}: damaged or missing; prepare the dataset again") from error

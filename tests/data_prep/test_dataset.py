@@ -14,13 +14,12 @@ from data_prep.dataset import (
     Dataset,
     FrameStore,
     encode_frame,
-    write_features,
     write_frames,
     write_table,
 )
 from data_prep.errors import BadInput
 from data_prep.media.audio import write_wav
-from data_prep.speech.features import FEATURES, Speech
+from data_prep.speech.features import FEATURES, Speech, write_features
 from data_prep.speech.words import Word, read_words, slice_words, write_words
 
 
