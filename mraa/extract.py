@@ -1,12 +1,13 @@
 """Region motion of every clip of a dataset, measured by the frozen region estimator."""
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
+from numpy.typing import NDArray
 
 from data_prep.dataset import Clip, Dataset
 from data_prep.errors import BadInput
@@ -14,19 +15,36 @@ from data_prep.files import whole_file
 from data_prep.progress import progress, spread
 from mraa.affine import encode_cholesky
 from mraa.motion import Motion, read_motion, write_motion
-from mraa.regions import RegionEstimator
+from mraa.regions import RegionEstimator, Regions
 from mraa.renderer import from_pixels
 
 
-@torch.no_grad()
-def measure_motion(estimator: RegionEstimator, frames: Iterator[Tensor]) -> Motion:
-    """Region motion (T, K) of batches of frames (b, H, W, 3) uint8."""
-    device = next(estimator.parameters()).device
-    shifts, factors = [], []
-    for batch in frames:
-        regions = estimator(from_pixels(batch.to(device)))
-        shifts.append(regions.shift.cpu())
-        factors.append(encode_cholesky(regions.covariance).cpu())
+def estimate(
+    estimator: RegionEstimator, frames: Iterable[NDArray[np.uint8]], batch: int = 16
+) -> Iterator[Regions]:
+    """Regions of frames, taken as they are needed.
+
+    Args:
+        estimator: in eval mode.
+        frames: (H, W, 3) uint8 RGB each.
+        batch: frames whose regions are estimated together.
+
+    Yields:
+        Regions (b, K) on the estimator's device, b at most `batch`.
+    """
+    device, rest = next(estimator.parameters()).device, iter(frames)
+    while held := list(itertools.islice(rest, batch)):
+        with torch.no_grad():
+            yield estimator(from_pixels(torch.from_numpy(np.stack(held)).to(device)))
+
+
+def measure_motion(
+    estimator: RegionEstimator, frames: Iterable[NDArray[np.uint8]], batch: int = 16
+) -> Motion:
+    """Region motion (T, K) of frames on the CPU; arguments as `estimate`, at least one frame."""
+    found = list(estimate(estimator, frames, batch))
+    shifts = [regions.shift.cpu() for regions in found]
+    factors = [encode_cholesky(regions.covariance).cpu() for regions in found]
     return Motion(torch.cat(shifts), torch.cat(factors))
 
 
@@ -78,17 +96,11 @@ def _measure(
 ) -> bool:
     """Write the motion of a clip."""
     torch.set_num_threads(threads)
-    motion = measure_motion(estimator, _batches(dataset, clip, batch))
+    store = dataset.frames(clip)
+    motion = measure_motion(estimator, (store[i] for i in range(len(store))), batch)
     with whole_file(folder / f"{clip.id}.npz", force=True) as part:
         write_motion(part, motion, identity)
     return True
-
-
-def _batches(dataset: Dataset, clip: Clip, batch: int) -> Iterator[Tensor]:
-    store = dataset.frames(clip)
-    for start in range(0, len(store), batch):
-        stop = min(start + batch, len(store))
-        yield torch.from_numpy(np.stack([store[i] for i in range(start, stop)]))
 
 
 def _is_done(path: Path, identity: str) -> bool:

@@ -8,7 +8,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from angie.bundle import Bundle
@@ -43,9 +42,6 @@ from data_prep.rates import FPS, IMAGE_SIZE
 from data_prep.speech.features import Speech
 from mraa.extract import measure_motion
 from mraa.regions import RegionEstimator
-
-BATCH = 16
-"""Frames measured together."""
 
 
 @dataclass(frozen=True)
@@ -91,17 +87,6 @@ def square_frames(path: Path) -> Iterator[NDArray]:
         yield frame
 
 
-def _batches(frames: Iterator[NDArray]) -> Iterator[torch.Tensor]:
-    held: list[NDArray] = []
-    for frame in frames:
-        held.append(frame)
-        if len(held) == BATCH:
-            yield torch.from_numpy(np.stack(held))
-            held = []
-    if held:
-        yield torch.from_numpy(np.stack(held))
-
-
 def watch(path: Path, space: RegionSpace, estimator: RegionEstimator) -> Watched:
     """Measure a video's motion and hear its sound.
 
@@ -114,7 +99,7 @@ def watch(path: Path, space: RegionSpace, estimator: RegionEstimator) -> Watched
         BadInput: the video cannot be used.
     """
     info = probe(path)
-    motion = measure_motion(estimator, _batches(square_frames(path)))
+    motion = measure_motion(estimator, square_frames(path))
     clip = next((clip for clip in space.test if clip.name == path.stem), None)
     own = next((clip for clip in space.train if clip.name == path.stem), clip)
     frames = motion.frames if clip is None else min(motion.frames, clip.motion.frames)

@@ -17,8 +17,8 @@ from angie.metrics.score import Score
 from angie.motion.clips import MotionClip
 from data_prep.dataset import Clip, Dataset
 from data_prep.rates import FPS
-from mraa.affine import encode_cholesky
 from mraa.draw import regions_of, render
+from mraa.extract import measure_motion
 from mraa.fast.session import RenderSession
 from mraa.motion import Motion
 from mraa.perceptual import ImageScores, PerceptualDistance
@@ -149,19 +149,6 @@ def chosen_frames(count: int, stride: int) -> NDArray:
 
 
 @torch.no_grad()
-def regions_seen(renderer: Renderer, frames: NDArray) -> Motion:
-    """What the region estimator sees in frames (n, H, W, 3) uint8."""
-    device = next(renderer.parameters()).device
-    shifts, factors = [], []
-    for first in range(0, len(frames), AT_ONCE):
-        batch = torch.from_numpy(frames[first : first + AT_ONCE]).to(device)
-        regions = renderer.estimator(from_pixels(batch))
-        shifts.append(regions.shift.cpu())
-        factors.append(encode_cholesky(regions.covariance).cpu())
-    return Motion(torch.cat(shifts), torch.cat(factors))
-
-
-@torch.no_grad()
 def compare(
     judge: FrameJudge,
     gathered: FrameScores,
@@ -192,7 +179,7 @@ def compare(
     if judge.identity is not None:
         for side, frames in zip(gathered.embeddings, (true, made), strict=True):
             side.append(embed(judge.identity, frames))
-    own = regions_seen(judge.renderer, made)
+    own = measure_motion(judge.renderer.estimator, made, AT_ONCE)
     for side, motion in zip(gathered.shifts, (seen, own), strict=True):
         side.append(motion.shift.double().numpy() * PIXEL)
     if joints is not None and judge.reader is not None:

@@ -7,7 +7,7 @@ from torch import Tensor
 from mraa.fast.folding import Kernel
 from mraa.fast.winograd import Winograd, fits
 
-Line = tuple[Tensor, Tensor]
+ScaleShift = tuple[Tensor, Tensor]
 """Scale and shift (C,) of what is left of a batch norm."""
 
 
@@ -28,7 +28,7 @@ class Convolution:
         padding: on all four sides, or above and below, left and right.
         stride: in both directions.
         relu: whether negative results become 0.
-        line: scale and shift (I,) of a line before a ReLU before the convolution.
+        scale_shift: (I,) each, applied before a ReLU before the convolution.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class Convolution:
         padding: int | tuple[int, int] = 0,
         stride: int = 1,
         relu: bool = True,
-        line: Line | None = None,
+        scale_shift: ScaleShift | None = None,
     ) -> None:
         self.taps = kernel.weight.shape[2] * kernel.weight.shape[3]
         layout = torch.channels_last
@@ -48,9 +48,9 @@ class Convolution:
         self.bias = kernel.bias.to(dtype)
         self.padding = [padding] * 2 if isinstance(padding, int) else list(padding)
         self.stride, self.relu = [stride] * 2, relu
-        self.line = None
-        if line is not None:
-            self.line = tuple(v.to(dtype)[:, None, None] for v in line)
+        self.scale_shift = None
+        if scale_shift is not None:
+            self.scale_shift = tuple(v.to(dtype)[:, None, None] for v in scale_shift)
         self.packed = _packs()
         if self.packed:
             self.weight = torch.ops.mkldnn._reorder_convolution_weight(
@@ -59,8 +59,8 @@ class Convolution:
 
     def __call__(self, x: Tensor, residual: Tensor | None = None) -> Tensor:
         """(B, I, H, W) to (B, O, H', W'), both channels last; `residual` comes before the ReLU."""
-        if self.line is not None:
-            scale, shift = self.line
+        if self.scale_shift is not None:
+            scale, shift = self.scale_shift
             x = torch.addcmul(shift, x, scale).relu_()
         relu = self.relu and residual is None
         if self.packed:
@@ -83,10 +83,12 @@ def same_convolution(
     *,
     dtype: torch.dtype,
     relu: bool = True,
-    line: Line | None = None,
+    scale_shift: ScaleShift | None = None,
 ) -> "Convolution | Winograd":
     """A convolution that keeps height and width, done the fastest way; arguments as above."""
     if fits(kernel, shape, dtype):
-        return Winograd(kernel, relu=relu, line=line)
+        return Winograd(kernel, relu=relu, scale_shift=scale_shift)
     padding = kernel.weight.shape[-1] // 2
-    return Convolution(kernel, shape, dtype=dtype, padding=padding, relu=relu, line=line)
+    return Convolution(
+        kernel, shape, dtype=dtype, padding=padding, relu=relu, scale_shift=scale_shift
+    )

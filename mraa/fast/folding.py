@@ -22,7 +22,7 @@ class Kernel:
     """(O,) float32."""
 
 
-def norm_line(norm: nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
+def norm_scale_shift(norm: nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
     """Scale and shift (C,) float64 that a batch norm in eval mode applies."""
     if norm.running_mean is None or norm.running_var is None:
         raise ValueError("a batch norm without running statistics cannot be folded")
@@ -35,7 +35,7 @@ def fold(conv: nn.Conv2d, norm: nn.BatchNorm2d | None = None) -> Kernel:
     weight = conv.weight.detach().double()
     bias = torch.zeros(len(weight)).double() if conv.bias is None else conv.bias.detach().double()
     if norm is not None:
-        scale, shift = norm_line(norm)
+        scale, shift = norm_scale_shift(norm)
         weight, bias = weight * scale[:, None, None, None], bias * scale + shift
     return Kernel(weight.float().cpu(), bias.float().cpu())
 

@@ -15,7 +15,7 @@ from mraa.blocks import ResBlock
 from mraa.fast import warp_kernel
 from mraa.fast.convolution import Convolution, same_convolution
 from mraa.fast.flow import Field, FoldedFlow, Shape, empty, framed, pixels, planes, up_convolution
-from mraa.fast.folding import blocks, fold, norm_line
+from mraa.fast.folding import blocks, fold, norm_scale_shift
 from mraa.generator import DeepGenerator, ImageGenerator, LiteGenerator
 from mraa.regions import Regions
 from mraa.renderer import Parts, Renderer, Source
@@ -54,10 +54,10 @@ class FoldedResidual:
 
     def __init__(self, block: Any, shape: Shape, dtype: torch.dtype) -> None:
         before = isinstance(block, ResBlock)  # the first norm has no convolution before it
-        line = norm_line(block.norm1) if before else None
+        scale_shift = norm_scale_shift(block.norm1) if before else None
         first = fold(block.conv1, block.norm2 if before else block.norm1)
         second = fold(block.conv2, None if before else block.norm2)
-        self.first = same_convolution(first, shape, dtype=dtype, line=line)
+        self.first = same_convolution(first, shape, dtype=dtype, scale_shift=scale_shift)
         self.second = same_convolution(second, shape, dtype=dtype, relu=not before)
 
     def __call__(self, x: Tensor) -> Tensor:

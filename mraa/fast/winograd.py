@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from mraa.fast.folding import Kernel
-from mraa.fast.winograd_kernel import restore, transform
+from mraa.fast.winograd_kernel import INPUT, OUTPUT, restore, transform
 
 TILES = 128
 """Tiles transformed and multiplied at once, which then are still in the processor's cache."""
@@ -54,7 +54,7 @@ class Winograd:
     Args:
         kernel: (O, C, r, r).
         relu: whether negative results become 0.
-        line: scale and shift (C,) of a line before a ReLU before the convolution.
+        scale_shift: (C,) each, applied before a ReLU before the convolution.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class Winograd:
         kernel: Kernel,
         *,
         relu: bool = True,
-        line: tuple[Tensor, Tensor] | None = None,
+        scale_shift: tuple[Tensor, Tensor] | None = None,
     ) -> None:
         self.size = kernel.weight.shape[-1]
         self.m = 3 if self.size == 2 else 4
@@ -70,7 +70,7 @@ class Winograd:
         self.bias = kernel.bias.numpy()
         self.floor = np.float32(0.0 if relu else -np.inf)
         none = torch.empty(0)
-        scale, shift = (none, none) if line is None else line
+        scale, shift = (none, none) if scale_shift is None else scale_shift
         self.scale, self.shift = scale.float().numpy(), shift.float().numpy()
 
     def __call__(self, x: Tensor, residual: Tensor | None = None) -> Tensor:
@@ -101,7 +101,9 @@ class Winograd:
         before, after = inputs.numpy(), products.numpy()
         for first in range(0, tiles, size):
             part = min(size, tiles - first)
-            transform(source, self.scale, self.shift, self.m, grid, first, part, before)
+            transform(
+                INPUT[self.m], source, self.scale, self.shift, self.m, grid, first, part, before
+            )
             torch.bmm(inputs, self.matrices, out=products)
-            restore(after, self.bias, self.floor, kept, first, part, self.m, target)
+            restore(OUTPUT[self.m], after, self.bias, self.floor, kept, first, part, self.m, target)
         return out

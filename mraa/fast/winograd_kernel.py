@@ -8,94 +8,75 @@ import numpy as np
 
 from mraa.fast.compiled import compiled
 
+Rows = tuple[np.ndarray, np.ndarray]
+"""A matrix by its entries other than 0, at most five a row: columns (n, 5) and values (n, 5)."""
+
+
+def rows(matrix: tuple[tuple[int, ...], ...]) -> Rows:
+    """The rows of a matrix; what a row has less than five entries is filled up with zeros."""
+    columns, values = np.zeros((2, len(matrix), 5), np.float32)
+    for row, entries in enumerate(matrix):
+        (places,) = np.nonzero(entries)
+        columns[row, : len(places)] = places
+        values[row, : len(places)] = np.array(entries)[places]
+    return columns.astype(np.uintp), values
+
+
+INPUT = {
+    4: rows(
+        (
+            (4, 0, -5, 0, 1, 0),
+            (0, -4, -4, 1, 1, 0),
+            (0, 4, -4, -1, 1, 0),
+            (0, -2, -1, 2, 1, 0),
+            (0, 2, -1, -2, 1, 0),
+            (0, 4, 0, -5, 0, 1),
+        )
+    ),
+    3: rows(((1, 0, -1, 0), (0, 1, 1, 0), (0, -1, 1, 0), (0, 1, 0, -1))),
+}
+"""`B^T` of F(4, 3) and F(3, 2)."""
+
+OUTPUT = {
+    4: rows(((1, 1, 1, 1, 1, 0), (0, 1, -1, 2, -2, 0), (0, 1, 1, 4, 4, 0), (0, 1, -1, 8, -8, 1))),
+    3: rows(((1, 1, 1, 0), (0, 1, -1, 0), (0, 1, 1, -1))),
+}
+"""`A^T` of both."""
+
 
 @compiled
-def _input6(s: np.ndarray, a: int, step: int, t: np.ndarray, to: int, jump: int, n: int) -> None:
-    """`B^T` of F(4, 3): six strips of `s`, `step` apart from `a` on, to six of `t`.
+def _product(
+    matrix: Rows, s: np.ndarray, at: int, step: int, t: np.ndarray, to: int, jump: int, n: int
+) -> None:
+    """A matrix times strips of `s`, `step` apart from `at` on; strips of `t`, `jump` apart.
 
-    Places and lengths are unsigned, so that no index is taken from the end; each strip has a loop
-    of its own, which the compiler turns into vectors.
+    Places and lengths are unsigned, so that no index is taken from the end; the compiler turns
+    the loop over a strip into vectors.
     """
-    b = a + step
-    c = b + step
-    d = c + step
-    e = d + step
-    f = e + step
-    two, four, five = np.float32(2), np.float32(4), np.float32(5)
-    for i in range(n):
-        t[to + i] = four * s[a + i] - five * s[c + i] + s[e + i]
-    to += jump
-    for i in range(n):
-        t[to + i] = (s[e + i] - four * s[c + i]) + (s[d + i] - four * s[b + i])
-    to += jump
-    for i in range(n):
-        t[to + i] = (s[e + i] - four * s[c + i]) - (s[d + i] - four * s[b + i])
-    to += jump
-    for i in range(n):
-        t[to + i] = (s[e + i] - s[c + i]) + two * (s[d + i] - s[b + i])
-    to += jump
-    for i in range(n):
-        t[to + i] = (s[e + i] - s[c + i]) - two * (s[d + i] - s[b + i])
-    to += jump
-    for i in range(n):
-        t[to + i] = four * s[b + i] - five * s[d + i] + s[f + i]
-
-
-@compiled
-def _input4(s: np.ndarray, a: int, step: int, t: np.ndarray, to: int, jump: int, n: int) -> None:
-    """`B^T` of F(3, 2): four strips to four, as `_input6`."""
-    b = a + step
-    c = b + step
-    d = c + step
-    for i in range(n):
-        t[to + i] = s[a + i] - s[c + i]
-    to += jump
-    for i in range(n):
-        t[to + i] = s[b + i] + s[c + i]
-    to += jump
-    for i in range(n):
-        t[to + i] = s[c + i] - s[b + i]
-    to += jump
-    for i in range(n):
-        t[to + i] = s[b + i] - s[d + i]
-
-
-@compiled
-def _output6(s: np.ndarray, a: int, step: int, t: np.ndarray, to: int, jump: int, n: int) -> None:
-    """`A^T` of F(4, 3): six strips to four, as `_input6`."""
-    b = a + step
-    c = b + step
-    d = c + step
-    e = d + step
-    f = e + step
-    two, four, eight = np.float32(2), np.float32(4), np.float32(8)
-    for i in range(n):
-        t[to + i] = s[a + i] + (s[b + i] + s[c + i]) + (s[d + i] + s[e + i])
-    to += jump
-    for i in range(n):
-        t[to + i] = (s[b + i] - s[c + i]) + two * (s[d + i] - s[e + i])
-    to += jump
-    for i in range(n):
-        t[to + i] = (s[b + i] + s[c + i]) + four * (s[d + i] + s[e + i])
-    to += jump
-    for i in range(n):
-        t[to + i] = (s[b + i] - s[c + i]) + eight * (s[d + i] - s[e + i]) + s[f + i]
-
-
-@compiled
-def _output4(s: np.ndarray, a: int, step: int, t: np.ndarray, to: int, jump: int, n: int) -> None:
-    """`A^T` of F(3, 2): four strips to three, as `_input6`."""
-    b = a + step
-    c = b + step
-    d = c + step
-    for i in range(n):
-        t[to + i] = s[a + i] + s[b + i] + s[c + i]
-    to += jump
-    for i in range(n):
-        t[to + i] = s[b + i] - s[c + i]
-    to += jump
-    for i in range(n):
-        t[to + i] = s[b + i] + s[c + i] - s[d + i]
+    columns, values = matrix
+    for row in range(len(columns)):
+        a, b, c = (
+            at + step * columns[row, 0],
+            at + step * columns[row, 1],
+            at + step * columns[row, 2],
+        )
+        d, e = at + step * columns[row, 3], at + step * columns[row, 4]
+        u, v, w, x, y = (
+            values[row, 0],
+            values[row, 1],
+            values[row, 2],
+            values[row, 3],
+            values[row, 4],
+        )
+        if y == 0 and x == 0:
+            for i in range(n):
+                t[to + i] = u * s[a + i] + v * s[b + i] + w * s[c + i]
+        else:
+            for i in range(n):
+                t[to + i] = (
+                    (u * s[a + i] + v * s[b + i]) + (w * s[c + i] + x * s[d + i]) + y * s[e + i]
+                )
+        to += jump
 
 
 @compiled
@@ -108,7 +89,7 @@ def _gather(
     shift: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Pixels (s, s, C) from (`top`, `left`) on, zeros where there are none, after the line."""
+    """Pixels (s, s, C) from (`top`, `left`) on, zeros where there are none, scaled and shifted."""
     _, height, width, channels = x.shape
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
@@ -126,6 +107,7 @@ def _gather(
 
 @compiled
 def transform(
+    matrix: Rows,
     x: np.ndarray,
     scale: np.ndarray,
     shift: np.ndarray,
@@ -138,8 +120,9 @@ def transform(
     """`B^T d B` of tiles `first` to `first + count`.
 
     Args:
+        matrix: `B^T`.
         x: (b, h, w, C) float32; zeros lie around.
-        scale: (C,) float32, of the line before the ReLU before the convolution; or of size 0.
+        scale: (C,) float32, applied before a ReLU before the convolution; or of size 0.
         shift: (C,) float32.
         m: pixels from one tile to the next, 4 for F(4, 3), 3 for F(3, 2); the first begins one
             pixel outside.
@@ -165,21 +148,16 @@ def transform(
             place = np.uintp(((frame * height + top) * width + left) * channels)
         else:
             _gather(x, frame, top, left, scale, shift, tile)
-        if m == 4:
-            _input6(source, place, step, half, np.uintp(0), row_length, row_length)
-        else:
-            _input4(source, place, step, half, np.uintp(0), row_length, row_length)
+        _product(matrix, source, place, step, half, np.uintp(0), row_length, row_length)
         for i in range(size):
             place = np.uintp(i * size * channels)
             to = np.uintp((i * size * out.shape[1] + t) * channels)
-            if m == 4:
-                _input6(half, place, each, target, to, jump, each)
-            else:
-                _input4(half, place, each, target, to, jump, each)
+            _product(matrix, half, place, each, target, to, jump, each)
 
 
 @compiled
 def restore(
+    matrix: Rows,
     products: np.ndarray,
     bias: np.ndarray,
     floor: float,
@@ -192,6 +170,7 @@ def restore(
     """`A^T M A` of tiles, with bias, residual and ReLU.
 
     Args:
+        matrix: `A^T`.
         products: (36 or 16, T, O).
         bias: (O,) float32.
         floor: float32; 0 for a ReLU, minus infinity for none.
@@ -214,17 +193,11 @@ def restore(
         for j in range(size):
             place = np.uintp((j * products.shape[1] + t) * channels)
             to = np.uintp(j * channels)
-            if m == 4:
-                _output6(source, place, step, half, to, half_row, each)
-            else:
-                _output4(source, place, step, half, to, half_row, each)
+            _product(matrix, source, place, step, half, to, half_row, each)
         for i in range(m):
             place = np.uintp(i * size * channels)
             corner = ((frame * height + row * m + i) * width + column * m) * channels
-            if m == 4:
-                _output6(half, place, each, target, np.uintp(corner), each, each)
-            else:
-                _output4(half, place, each, target, np.uintp(corner), each, each)
+            _product(matrix, half, place, each, target, np.uintp(corner), each, each)
             for j in range(m):
                 at = np.uintp(corner + j * channels)
                 for e in range(each):

@@ -303,31 +303,6 @@ class Run:
         for name, weights in self.best.weights.items():
             self.models[name].load_state_dict(weights)
 
-    def setup(
-        self, model: nn.Module, optimizer: torch.optim.Optimizer
-    ) -> tuple[Any, torch.optim.Optimizer]:
-        """`add` of a single model; goes when no stage calls it."""
-        return self.add("model", model, optimizer), self.optimizers["model"]
-
-    def backward(self, loss: Tensor) -> None:
-        """Gradients of a scalar loss; goes when no stage calls it."""
-        self.fabric.backward(loss)
-
-    def clip(self, model: nn.Module, optimizer: torch.optim.Optimizer, norm: float) -> None:
-        """Scale the gradients to at most `norm`; goes when no stage calls it."""
-        self.fabric.clip_gradients(model, optimizer, max_norm=norm, error_if_nonfinite=False)
-
-    def rate(
-        self,
-        optimizer: torch.optim.Optimizer,
-        base: float,
-        milestones: Sequence[int] = (),
-    ) -> None:
-        """Set the learning rate of this step; goes when no stage calls it."""
-        passed = sum(self.step >= milestone for milestone in milestones)
-        for group in optimizer.param_groups:
-            group["lr"] = base * 0.1**passed
-
     def log(self, **scalars: Tensor | float) -> None:
         """Add points to the curves, every `log_every` steps, and show them.
 

@@ -8,7 +8,7 @@ from PIL import Image
 
 from angie.bundle import BUNDLE, Bundle
 from angie.config import preset
-from angie.drive import BATCH, Driving, drive, estimate
+from angie.drive import Driving, drive
 from angie.pipeline import GesturePipeline
 from angie.source import View
 from data_prep.errors import BadInput
@@ -150,18 +150,3 @@ def test_bad_input_leaves_nothing(folder, rough, tmp_path):
     with pytest.raises(BadInput, match="would replace the input"):
         make(folder, folder / "talking.mp4", force=True)
     assert list(tmp_path.iterdir()) == [] and (folder / "talking.mp4").exists()
-
-
-def test_frames_are_taken_as_they_are_needed(rough):
-    renderer = Bundle.open(rough).renderer()
-    taken = []
-
-    def pictures():
-        for i in range(100):
-            taken.append(i)
-            yield np.zeros((256, 256, 3), np.uint8)
-
-    chunks = estimate(renderer, pictures())
-    assert len(next(chunks).shift) == BATCH and len(taken) == BATCH
-    next(chunks)
-    assert len(taken) == 2 * BATCH

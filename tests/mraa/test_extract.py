@@ -1,7 +1,9 @@
+import numpy as np
 import torch
 
-from mraa.extract import extract_dataset
+from mraa.extract import estimate, extract_dataset, measure_motion
 from mraa.motion import read_motion
+from mraa.renderer import HourglassConfig, Renderer, RendererConfig
 
 
 def test_processes_measure_what_one_does(dataset, bundle, tmp_path):
@@ -27,3 +29,20 @@ def test_measured_clips_are_kept_unless_another_estimator_measured_them(dataset,
     assert torch.get_num_threads() == threads  # for a single clip no process is begun
     extract_dataset(dataset, estimator, tmp_path, "another's")
     assert path.stat().st_mtime_ns > before
+
+
+def test_frames_are_taken_as_they_are_needed():
+    config = RendererConfig(regions=2, estimator=HourglassConfig(4, 3, 16))
+    estimator, taken = Renderer(config).estimator.eval(), []
+
+    def pictures():
+        for i in range(9):
+            taken.append(i)
+            yield np.full((64, 64, 3), 20 * i, np.uint8)
+
+    chunks = estimate(estimator, pictures(), 4)
+    assert next(chunks).shift.shape == (4, 2, 2) and len(taken) == 4
+    assert not next(chunks).shift.requires_grad and len(taken) == 8
+    assert next(chunks).shift.shape == (1, 2, 2)
+    motion = measure_motion(estimator, pictures(), 4)
+    assert motion.shift.shape == (9, 2, 2) and motion.cholesky.shape == (9, 2, 3)

@@ -35,7 +35,7 @@ def test_line_before_and_residual_behind():
     scale, shift = torch.linspace(-1, 1, 32), torch.linspace(0.5, -0.5, 32)
     before = (x.double() * scale[:, None, None] + shift[:, None, None]).relu()
     wanted = F.conv2d(before, kernel.weight.double(), kernel.bias.double(), padding=1) + x.double()
-    convolution = Winograd(kernel, line=(scale, shift))
+    convolution = Winograd(kernel, scale_shift=(scale, shift))
     found = convolution(x, x)
     assert error(found, wanted.relu()) < 5e-6
 
