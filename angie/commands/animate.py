@@ -12,11 +12,20 @@ import typer
 
 from angie.commands.options import (
     Device,
+    Fgd,
+    FgdSteps,
     Force,
     FullFrame,
     Generator,
+    Greedy,
+    ImageSeconds,
+    ImageStride,
+    NoImages,
+    Person,
     Precision,
     Seed,
+    Seeds,
+    Settings,
     Size,
     Style,
     device_of,
@@ -46,20 +55,11 @@ def animate(
     crop: Annotated[
         str | None, typer.Option(help="Square of the photo: x,y,size in pixels.")
     ] = None,
-    person: Annotated[
-        str | None, typer.Option(help="Of several people: left, right or largest.")
-    ] = None,
+    person: Person = None,
     scale_motion: Annotated[
         str, typer.Option(help="none, or hull: scale gestures to the person's size.")
     ] = "none",
-    greedy: Annotated[
-        bool,
-        typer.Option(
-            "--greedy",
-            help="Always the likeliest gesture, whatever the seed; without it gestures are "
-            "sampled, whatever generation.sampling.method the bundle has.",
-        ),
-    ] = False,
+    greedy: Greedy = False,
     style: Style = None,
     precision: Precision = "auto",
     size: Size = None,
@@ -192,14 +192,7 @@ def gestures(
     generator: Generator = None,
     fps: Annotated[float, typer.Option(min=1, max=1000, help="Frames a second of joints.")] = FPS,
     seed: Seed = 0,
-    greedy: Annotated[
-        bool,
-        typer.Option(
-            "--greedy",
-            help="Always the likeliest gesture, whatever the seed; without it gestures are "
-            "sampled, whatever generation.sampling.method the bundle has.",
-        ),
-    ] = False,
+    greedy: Greedy = False,
     force: Force = False,
 ) -> None:
     """Write the motion for a recording as arrays: joints (T, J, 2), or regions."""
@@ -235,9 +228,7 @@ def codebook(
         Path, typer.Option("--output", "-o", help="The .png to write, and an .mp4 beside it.")
     ],
     codes: Annotated[int, typer.Option(min=1, max=24, help="Pairs of codes, the rows.")] = 6,
-    person: Annotated[
-        str | None, typer.Option(help="Of several people: left, right or largest.")
-    ] = None,
+    person: Person = None,
     force: Force = False,
 ) -> None:
     """Show codes of the motion codebooks on photos, and how much each is used."""
@@ -253,34 +244,19 @@ def codebook(
 def ablate(
     dataset: Annotated[Path, typer.Argument(help="Folder that angie prepare made.")],
     bundle: Annotated[Path, typer.Argument(help="Bundle whose renderer and settings all share.")],
-    settings: Annotated[
-        list[str] | None, typer.Argument(help="key=value, or YAML files with such.")
-    ] = None,
+    settings: Settings = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder of bundles, report and table.")
     ] = None,
     variants: Annotated[
         str | None, typer.Option(help="Some of the rows, with commas; without it all.")
     ] = None,
-    seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of what is random.")] = 1,
-    no_images: Annotated[
-        bool, typer.Option("--no-images", help="Render nothing: motion scores alone.")
-    ] = False,
-    image_stride: Annotated[
-        int, typer.Option(min=2, help="Every so many frames two are rendered for image scores.")
-    ] = 25,
-    image_seconds: Annotated[
-        float,
-        typer.Option(
-            min=0, help="Score pictures of the first so many seconds of each clip; 0: of all."
-        ),
-    ] = 0.0,
-    fgd: Annotated[
-        Path | None, typer.Option(help="Auto-encoder of an earlier report, to compare with it.")
-    ] = None,
-    fgd_steps: Annotated[
-        int, typer.Option(min=1, help="Most training steps of FGD's auto-encoder.")
-    ] = 3000,
+    seeds: Seeds = 1,
+    no_images: NoImages = False,
+    image_stride: ImageStride = 25,
+    image_seconds: ImageSeconds = 0.0,
+    fgd: Fgd = None,
+    fgd_steps: FgdSteps = 3000,
     seed: Seed = 0,
     device: Device = "auto",
 ) -> None:

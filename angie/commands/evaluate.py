@@ -5,7 +5,19 @@ from typing import Annotated, Any
 
 import typer
 
-from angie.commands.options import Device, Force, Seed, device_of, want_file
+from angie.commands.options import (
+    Device,
+    Fgd,
+    FgdSteps,
+    Force,
+    ImageSeconds,
+    ImageStride,
+    NoImages,
+    Seed,
+    Seeds,
+    device_of,
+    want_file,
+)
 from data_prep.errors import BadInput
 from data_prep.progress import console
 
@@ -31,7 +43,7 @@ def evaluate(
         Path | None,
         typer.Option(help="With --videos: whose regions count; without it the shipped one."),
     ] = None,
-    seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of what is random.")] = 1,
+    seeds: Seeds = 1,
     seed: Seed = 0,
     generator: Annotated[
         str | None,
@@ -41,27 +53,14 @@ def evaluate(
         str,
         typer.Option(help="Begin with the clip's own motion (truth) or still, as a photo (pose)."),
     ] = "truth",
-    no_images: Annotated[
-        bool, typer.Option("--no-images", help="Render nothing: motion scores only.")
-    ] = False,
-    image_stride: Annotated[
-        int, typer.Option(min=2, help="Every so many frames two are rendered for image scores.")
-    ] = 25,
-    image_seconds: Annotated[
-        float,
-        typer.Option(
-            min=0, help="Score pictures of the first so many seconds of each clip; 0: of all."
-        ),
-    ] = 0.0,
+    no_images: NoImages = False,
+    image_stride: ImageStride = 25,
+    image_seconds: ImageSeconds = 0.0,
     videos_shown: Annotated[
         int, typer.Option(min=0, help="Clips of which side-by-side videos are made.")
     ] = 2,
-    fgd: Annotated[
-        Path | None, typer.Option(help="Auto-encoder of an earlier report, to compare with it.")
-    ] = None,
-    fgd_steps: Annotated[
-        int, typer.Option(min=1, help="Most training steps of FGD's auto-encoder.")
-    ] = 3000,
+    fgd: Fgd = None,
+    fgd_steps: FgdSteps = 3000,
     truth: Annotated[
         Path | None, typer.Option(help="Folder of angie phantom, for its true joints.")
     ] = None,

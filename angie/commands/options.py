@@ -39,6 +39,31 @@ Size = Annotated[
 FullFrame = Annotated[
     bool, typer.Option("--full-frame", help="Show the whole photo, not the square alone.")
 ]
+Greedy = Annotated[
+    bool,
+    typer.Option(
+        "--greedy",
+        help="Always the likeliest gesture, whatever the seed; without it gestures are sampled, "
+        "whatever the bundle's settings say.",
+    ),
+]
+Person = Annotated[str | None, typer.Option(help="Of several people: left, right or largest.")]
+Settings = Annotated[list[str] | None, typer.Argument(help="key=value, or YAML files with such.")]
+Seeds = Annotated[int, typer.Option(min=1, max=100, help="Runs of what is random.")]
+NoImages = Annotated[bool, typer.Option("--no-images", help="Render nothing: motion scores only.")]
+ImageStride = Annotated[
+    int, typer.Option(min=2, help="Every so many frames two are rendered for image scores.")
+]
+ImageSeconds = Annotated[
+    float,
+    typer.Option(
+        min=0, help="Score pictures of the first so many seconds of each clip; 0: of all."
+    ),
+]
+Fgd = Annotated[
+    Path | None, typer.Option(help="Auto-encoder of an earlier report, to compare with it.")
+]
+FgdSteps = Annotated[int, typer.Option(min=1, help="Most training steps of FGD's auto-encoder.")]
 Jobs = Annotated[int, typer.Option(min=0, help="Processes; 0 for one a core.")]
 
 

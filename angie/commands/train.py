@@ -6,15 +6,13 @@ from typing import Annotated
 
 import typer
 
-from angie.commands.options import Device, Force, Generator, Seed, device_of, want_file
+from angie.commands.options import Device, Force, Generator, Seed, Settings, device_of, want_file
 from data_prep.errors import BadInput
 
 
 def train(
     dataset: Annotated[Path, typer.Argument(help="Folder that angie prepare made.")],
-    settings: Annotated[
-        list[str] | None, typer.Argument(help="key=value, or YAML files with such.")
-    ] = None,
+    settings: Settings = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder of the speaker bundle.")
     ] = None,
@@ -103,6 +101,6 @@ def info(
 ) -> None:
     """Tell what a speaker bundle holds and what it was trained on."""
     from angie.bundle import BUNDLE, Bundle
-    from angie.summary import describe
+    from angie.parts import describe
 
     print(describe(Bundle.open(bundle or BUNDLE)))

@@ -7,8 +7,7 @@ import torch
 
 from angie.bundle import Bundle
 from angie.config import override, preset
-from angie.parts import changed, halve, load_weights
-from angie.summary import describe
+from angie.parts import changed, describe, halve, load_weights
 from angie.training import train
 from data_prep.errors import BadInput
 

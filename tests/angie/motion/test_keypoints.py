@@ -16,7 +16,7 @@ from angie.config import override
 from angie.generators.angie.family import FAMILY
 from angie.generators.stages import StageContext
 from angie.motion.keypoints import KeypointDataset, read_points, read_rate, resample
-from angie.summary import describe
+from angie.parts import describe
 from angie.training import Trainer
 from data_prep.errors import BadInput
 from data_prep.media.audio import write_wav
