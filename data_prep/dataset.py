@@ -114,9 +114,7 @@ FORMAT = 2
 """Version of the layout; a newer one is refused."""
 
 MANIFEST = "dataset.json"
-
 TABLE = "meta.csv"
-
 COLUMNS = ("clip_id", "speaker", "split", "source", "start", "fps", "n_frames", "duration")
 
 

@@ -73,7 +73,6 @@ MOST = 61 if sys.platform == "win32" else 512
 """Processes of one pool; Windows cannot wait for more."""
 
 Task = TypeVar("Task")
-
 Result = TypeVar("Result")
 
 

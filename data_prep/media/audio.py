@@ -1,7 +1,4 @@
-"""Recordings: decoded as a stream at their own rate, or read whole as mono samples.
-
-Which of a file's sound tracks is taken.
-"""
+"""Recordings, by one of a file's sound tracks: a stream at its own rate, or mono samples."""
 
 from array import array
 from collections.abc import Iterator
@@ -54,27 +51,22 @@ def sound_track(path: Path) -> int:
 
 
 def _is_audible(path: Path, track: int) -> bool:
+    """Whether a sample of the track's beginning is `AUDIBLE`; damage is silence."""
     with open_media(path) as container:
         stream = container.streams.audio[track]
-        return stream.codec_context is not None and _reaches(container, stream, AUDIBLE)
-
-
-def _reaches(container: InputContainer, stream: AudioStream, level: float) -> bool:
-    """Whether a sample of the track's beginning is at least that loud; damage is silence."""
-    mixer = AudioResampler("fltp")
-    heard = 0.0
-    try:
-        for frame in container.decode(stream):
-            if not isinstance(frame, AudioFrame) or not frame.samples:
-                continue
-            for part in mixer.resample(frame):
-                if np.abs(part.to_ndarray()).max(initial=0) >= level:
-                    return True
-            heard += frame.samples / frame.sample_rate
-            if heard > _LISTEN:
-                return False
-    except (av.error.FFmpegError, OSError, ValueError):
-        return False
+        mixer, heard = AudioResampler("fltp"), 0.0
+        try:
+            for frame in () if stream.codec_context is None else container.decode(stream):
+                if not isinstance(frame, AudioFrame) or not frame.samples:
+                    continue
+                for part in mixer.resample(frame):
+                    if np.abs(part.to_ndarray()).max(initial=0) >= AUDIBLE:
+                        return True
+                heard += frame.samples / frame.sample_rate
+                if heard > _LISTEN:
+                    return False
+        except (av.error.FFmpegError, OSError, ValueError):
+            return False
     return False
 
 
@@ -88,7 +80,6 @@ _WITHOUT_GAPS = ("flac", "ogg")
 """Containers in which a gap of the timestamps means that a part was lost."""
 
 _MAX_CHANNELS = 2
-
 _KNOWN_LAYOUT = {1: "mono", 2: "stereo", 3: "3.0", 4: "quad", 5: "5.0", 6: "5.1", 8: "7.1"}
 
 

@@ -19,7 +19,6 @@ from data_prep.media.writer import VideoWriter
 from data_prep.rates import FPS
 
 __all__ = ["VideoInfo", "VideoWriter", "probe", "read_frames", "read_grey"]
-
 _STILL_CODECS = ("mjpeg", "png", "bmp", "gif", "webp")
 _ROUNDING = 1.5e-3
 """Seconds by which containers round timestamps (Matroska keeps milliseconds)."""

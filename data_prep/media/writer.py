@@ -30,16 +30,13 @@ _AAC_BITS = 6144
 """Most bits that one AAC frame may take for a channel (ISO/IEC 14496-3)."""
 
 _AAC_FRAME = 1024
-
 _AAC_BIT_RATE = 192_000
-
 _BLOCK = 16384
 
 _PRESET = "veryfast"
 """Of x264: about 200 frames of 256x256 a second on one core, at half the size of "superfast"."""
 
 _BT709 = 1
-
 _LIMITED_RANGE = 1
 
 _TAGS = {

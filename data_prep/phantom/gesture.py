@@ -15,6 +15,19 @@ from data_prep.phantom.speech import Speech
 
 Place = tuple[float, float, float]
 
+SHAPES: dict[str, tuple[float, ...]] = {
+    "relaxed": (0.35, 0.28, 0.34, 0.40, 0.46, 0.35),
+    "open": (0.05, 0.02, 0.00, 0.02, 0.05, 1.15),
+    "flat": (0.25, 0.03, 0.03, 0.03, 0.05, 0.15),
+    "fist": (0.75, 0.95, 0.95, 0.95, 0.95, 0.10),
+    "point": (0.70, 0.02, 0.92, 0.95, 0.95, 0.20),
+    "pinch": (0.55, 0.52, 0.30, 0.26, 0.24, 0.55),
+    "two": (0.75, 0.02, 0.02, 0.95, 0.95, 0.80),
+    "three": (0.10, 0.02, 0.02, 0.95, 0.95, 0.95),
+    "cup": (0.30, 0.36, 0.36, 0.36, 0.36, 0.60),
+}
+"""Curl of the fingers from the thumb on, 0 straight to 1 folded, and the spread between them."""
+
 
 @dataclass(frozen=True)
 class Template:

@@ -1,8 +1,6 @@
-"""Limbs as shaded tapered capsules, and the arms with their sleeves, drawn anew in every frame.
+"""Hands, and arms with their sleeves, as shaded tapered capsules that each frame draws anew.
 
 Pictures here are planar, (3, H, W) float32 in [0, 255], and change in place.
-
-Hands: shapes of the fingers, and how a hand is drawn from capsules.
 """
 
 from dataclasses import dataclass
@@ -191,13 +189,9 @@ def _arm_colour(
 
 
 def arm(
-    picture: Array,
-    joints: NDArray,
-    lengths: NDArray,
-    radii: NDArray,
-    sleeve: Sleeve,
+    picture: Array, joints: NDArray, lengths: NDArray, radii: NDArray, sleeve: Sleeve,
     light: tuple[float, float, float],
-) -> None:
+) -> None:  # fmt: skip
     """Draw upper arm and forearm; the forearm lies before the upper arm.
 
     Args:
@@ -224,28 +218,9 @@ def arm(
     pixels.lay(picture, colour, edge)
 
 
-FINGERS = ("thumb", "index", "middle", "ring", "little")
-"""Order of the curls of a hand shape."""
-
-SHAPES: dict[str, tuple[float, ...]] = {
-    "relaxed": (0.35, 0.28, 0.34, 0.40, 0.46, 0.35),
-    "open": (0.05, 0.02, 0.00, 0.02, 0.05, 1.15),
-    "flat": (0.25, 0.03, 0.03, 0.03, 0.05, 0.15),
-    "fist": (0.75, 0.95, 0.95, 0.95, 0.95, 0.10),
-    "point": (0.70, 0.02, 0.92, 0.95, 0.95, 0.20),
-    "pinch": (0.55, 0.52, 0.30, 0.26, 0.24, 0.55),
-    "two": (0.75, 0.02, 0.02, 0.95, 0.95, 0.80),
-    "three": (0.10, 0.02, 0.02, 0.95, 0.95, 0.95),
-    "cup": (0.30, 0.36, 0.36, 0.36, 0.36, 0.60),
-}
-"""Curl of each finger, 0 straight to 1 folded, and the spread between fingers."""
-
 _BASE = np.array([(9, 11), (28, 9.5), (29.5, 3.4), (28.5, -3.0), (26, -9.0)], np.float32)
-
 _LENGTH = np.array([25, 28, 31, 28, 22], np.float32)
-
 _RADIUS = np.array([5.4, 4.7, 4.8, 4.5, 4.0], np.float32)
-
 _SPLAY = np.array([0.0, 0.17, 0.03, -0.11, -0.27], np.float32)
 
 
@@ -286,21 +261,18 @@ class Hand:
     wrist: NDArray  # (2,) pixels
     angle: float  # direction of the fingers, radians from x towards y
     scale: float  # pixels a unit
-    shape: NDArray  # (6,) curls and spread, a blend of `SHAPES`
+    shape: NDArray  # (6,) curls and spread, a blend of `gesture.SHAPES`
     turn: float  # 1 thumb on the clockwise side, -1 on the other, 0 edge on
     fore: float  # length as seen, 1 in the plane of the picture
 
 
 def draw_hand(
-    picture: Array,
-    hand: Hand,
-    skin: tuple[float, float, float],
-    light: tuple[float, float, float],
+    picture: Array, hand: Hand, skin: tuple[float, float, float], light: tuple[float, float, float]
 ) -> None:
     """Draw a hand: palm first, then the fingers from the little one to the thumb."""
     starts, ends, radii = _bones(hand.shape, hand.turn, hand.fore)
-    cos, sin = np.cos(hand.angle), np.sin(hand.angle)
-    spin = (np.array([[cos, sin], [-sin, cos]]) * hand.scale).astype(np.float32)
+    cos, sin = hand.scale * np.cos(hand.angle), hand.scale * np.sin(hand.angle)
+    spin = np.array([[cos, sin], [-sin, cos]], np.float32)
     starts, ends = starts @ spin + hand.wrist, ends @ spin + hand.wrist
     radii = radii * np.float32(hand.scale)
     pixels = touched(picture, starts, ends, radii)

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from data_prep.phantom.gesture import REST, TEMPLATES, Stroke, Template
-from data_prep.phantom.limbs import SHAPES
+from data_prep.phantom.gesture import REST, SHAPES, TEMPLATES, Stroke, Template
 from data_prep.phantom.presenters import Style
 from data_prep.phantom.skeleton import SIDES, Course
 from data_prep.phantom.speech import CONTROL, Speech

@@ -29,13 +29,9 @@ SIDES = np.array([-1.0, 1.0], np.float32)
 """Sign of x of the presenter's right and left side."""
 
 UPPER_ARM, FOREARM, PALM = 124.0, 108.0, 30.0
-
 _PIVOT = np.array([0.0, 190.0])
-
 _NECK = np.array([0.0, -24.0])
-
 _CAMERA = 950.0
-
 _NECK_ROW = 159.0
 
 

@@ -1,9 +1,7 @@
 """Speech of the phantom: samples, word times, stressed syllables and the mouth.
 
-A formant synthesiser: a glottal source and noise through resonators in cascade.
-
-After Klatt, "Software for a cascade/parallel formant synthesizer" (1980): voicing and aspiration
-pass seven formants in cascade, frication passes two resonators of its own.
+A formant synthesiser after Klatt, "Software for a cascade/parallel formant synthesizer" (1980):
+voicing and aspiration pass seven formants in cascade, frication passes two resonators of its own.
 """
 
 from dataclasses import dataclass
@@ -92,9 +90,8 @@ def _upsampled(track: NDArray) -> NDArray:
 def synthesise(controls: Controls, voice: Voice, rng: np.random.Generator) -> NDArray[np.float32]:
     """Speech (C * RATE / CONTROL,) float32, not yet scaled.
 
-    The glottal flow's derivative is the polynomial 2x - 3x^2 over the open phase (KLGLOTT88,
-    Klatt and Klatt 1990), with jitter and shimmer of one and three per cent
-    times the voice's roughness.
+    The glottal flow's derivative is the polynomial 2x - 3x^2 over the open phase (KLGLOTT88, Klatt
+    and Klatt 1990), with jitter and shimmer of one and three per cent times the voice's roughness.
     """
     count = len(controls.pitch) * _BLOCK
     unsteady = gaussian_filter1d(rng.standard_normal(count), RATE / 150)
@@ -110,9 +107,8 @@ def synthesise(controls: Controls, voice: Voice, rng: np.random.Generator) -> ND
     hiss = rng.standard_normal(count)
     voicing, breath = _upsampled(controls.voicing), _upsampled(controls.breath)
     excited = flow * voicing + hiss * (0.20 * breath + voice.breath * voicing * (phase < 0.6))
-    scale = voice.formants
-    upper = _UPPER * scale + np.zeros((len(controls.pitch), 1))
-    frequency = np.concatenate([controls.formants * scale, upper], 1)
+    upper = np.tile(_UPPER, (len(controls.pitch), 1))
+    frequency = np.concatenate([controls.formants, upper], 1) * voice.formants
     narrow = np.array([60.0, 80.0, 130.0, 220.0, 300.0, 500.0, 700.0])
     sections = _resonators(_finer(frequency), _finer(narrow * controls.broad[:, None]))
     speech = _filtered(excited, sections)
@@ -199,8 +195,8 @@ def _phrase_segments(phrase: Phrase) -> list[list[Segment]]:
     out = []
     for index, word in enumerate(phrase.words):
         last = index == len(phrase.words) - 1
-        following = None if last else LEXICON[phrase.words[index + 1]][0].rstrip("01")
-        out.append(segments(LEXICON[word], following, 1.5 if last else 1.0))
+        after = None if last else LEXICON[phrase.words[index + 1]][0].rstrip("01")
+        out.append(segments(LEXICON[word], after, 1.5 if last else 1.0))
     return out
 
 
@@ -253,17 +249,15 @@ def _pitch(
 def _tracks(track: list[tuple[float, float, Segment]], count: int) -> dict[str, NDArray]:
     """Control tracks (count,) or (count, n), smoothed as articulators move."""
     at = (np.arange(count) + 0.5) / CONTROL
-    starts = np.array([start for start, _, _ in track])
-    ends = np.array([end for _, end, _ in track])
+    starts, ends = np.array([(start, end) for start, end, _ in track]).T
     index = np.clip(np.searchsorted(starts, at, side="right") - 1, 0, len(track) - 1)
+    parts = [part for *_, part in track]
     said = (at >= starts[0]) & (at < ends[index])
-    parts = [part for _, _, part in track]
     share = np.clip((at - starts[index]) / (ends - starts)[index], 0, 1)
     first = np.array([p.start for p in parts], float)[index]
     second = np.array([p.end for p in parts], float)[index]
-    level = np.array(
-        [(p.voicing, p.breath, p.friction, p.open, p.spread, p.broad) for p in parts], float
-    )[index]
+    names = ("voicing", "breath", "friction", "open", "spread", "broad")
+    level = np.array([[getattr(p, name) for name in names] for p in parts], float)[index]
     level[~said, :4] = 0
     fast, slow = 0.006 * CONTROL, 0.016 * CONTROL
     return {
@@ -292,23 +286,15 @@ def speak(phrases: list[Phrase], voice: Voice, rng: np.random.Generator) -> Spee
         rng: source of randomness.
 
     Returns:
-        Speech at `formant.RATE`, a whole number of video frames long, peak at 0.8.
+        Speech at `RATE`, a whole number of video frames long, peak at 0.8.
     """
     words, track, duration = _timed(phrases, voice)
     count = whole_frames(duration) * CONTROL // FPS
     at = (np.arange(count) + 0.5) / CONTROL
     tracks = _tracks(track, count)
-    controls = Controls(
-        pitch=_pitch(words, phrases, voice, at, rng),
-        voicing=tracks["voicing"],
-        breath=tracks["breath"],
-        friction=tracks["friction"],
-        noise=tracks["noise"],
-        formants=tracks["formants"],
-        broad=tracks["broad"],
-    )
+    opening, spread = tracks.pop("open"), tracks.pop("spread")
+    controls = Controls(pitch=_pitch(words, phrases, voice, at, rng), **tracks)
     samples = synthesise(controls, voice, rng)
     samples *= 0.8 / max(float(np.abs(samples).max()), 1e-6)
     samples += ROOM * rng.standard_normal(len(samples)).astype(np.float32)
-    opening, spread = tracks["open"], tracks["spread"]
     return Speech(samples, RATE, words, opening.astype(np.float32), spread.astype(np.float32))

@@ -23,9 +23,7 @@ USUAL = 10 * FPS
 """Frames of a clip where the sound does not ask for another length."""
 
 LONGEST = 14 * FPS
-
 _SMOOTHING = FPS // 5
-
 _FLOOR_DB = -80.0
 
 FOLDERS = ("video", "frames", "audio", "features", "words")

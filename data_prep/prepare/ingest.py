@@ -1,11 +1,6 @@
-"""One source video becomes clips of a dataset.
+"""One source video from start to end: its transcript, clips, contact sheet and record."""
 
-One source from start to end: its transcript, its clips, its contact sheet, its record.
-"""
-
-import errno
 import itertools
-import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,13 +29,13 @@ from data_prep.prepare.outcome import ClipDetail, IngestionConfig, Outcome, Span
 from data_prep.prepare.record import Record, files_of
 from data_prep.prepare.source import Source, sha256
 from data_prep.prepare.spans import MIN_FRAMES, NO_PERSON, TWO_PEOPLE, Take, find_takes
+from data_prep.prepare.workplace import check_room
 from data_prep.rates import FPS, SAMPLE_RATE, SAMPLES_PER_FRAME, frames_covering
 from data_prep.speaker.crop import Crop, cut_out
 from data_prep.speech.transcript import read_transcript
 from data_prep.speech.words import Word
 
 SOUND_OVER = "after the end of the sound"
-
 _SILENT = "--silent-ok keeps it for training the renderer"
 
 _REMEDIES = {
@@ -116,8 +111,7 @@ def _ingest(
             continue
         write_clip(folder, piece, words)
         clip = Clip(piece.id, source.speaker, "", source.name, piece.first / FPS, len(piece.frames))
-        face = plan.take.span.face
-        height = 0.0 if face is None else face.h
+        height = 0.0 if plan.take.span.face is None else plan.take.span.face.h
         outcome.clips.append(clip)
         outcome.details[clip.id] = ClipDetail(plan.number, height, motion(piece.frames))
 
@@ -200,13 +194,9 @@ def _why_nothing(outcome: Outcome) -> str:
     return f"{why}; {remedy}" if remedy else why
 
 
-LEAST_ROOM = 4 << 20
-"""Bytes that must be free for a failure not to be the disk's."""
-
-
 @dataclass(frozen=True)
 class Order:
-    """A source that is to be made.
+    """A source to be cut into clips.
 
     Attributes:
         source: the video.
@@ -271,17 +261,6 @@ def _make(order: Order) -> Record:
         write_sheet(order.folder / "sheet.jpg", outcome),
         files_of(order.folder),
     )
-
-
-def check_room(folder: Path) -> None:
-    """Stop where a disk is full: whatever failed there failed of it.
-
-    Raises:
-        OSError: less than `LEAST_ROOM` is free.
-    """
-    if shutil.disk_usage(folder).free < LEAST_ROOM:
-        what = "no space is left on the disk; make room and repeat the command, it goes on there"
-        raise OSError(errno.ENOSPC, what, str(folder))
 
 
 def _words(order: Order) -> tuple[list[Word] | None, list[str]]:

@@ -19,7 +19,6 @@ from data_prep.prepare.summary import NEGLIGIBLE, REPORT, Summary, counted, seco
 from data_prep.rates import FPS
 
 NUMBERS = "report.json"
-
 BINS = 24
 
 MOST = 40

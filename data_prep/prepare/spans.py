@@ -18,17 +18,11 @@ MIN_FRAMES = 97
 """A clip with fewer frames gives no window of 96 frame-to-frame differences."""
 
 TOO_SHORT = f"shorter than {MIN_FRAMES} frames"
-
 FADE = "a fade or flash"
-
 CAMERA = "camera moves"
-
 TWO_PEOPLE = "two people"
-
 NO_PERSON = "no person"
-
 SMALL_FACE = "face too small"
-
 NOT_FRONTAL = "not frontal"
 
 MIN_FACE = 40.0

@@ -14,7 +14,6 @@ from data_prep.prepare.split import SPLITS, Split
 from data_prep.rates import FPS, IMAGE_SIZE
 
 REPORT = "report.html"
-
 GAP_REASON = "left unused between splits"
 LEFT_OVER = "too short for a clip, or past the end of the sound"
 OUTSIDE = "outside of the intervals"

@@ -1,5 +1,6 @@
 """The folder in which a dataset grows: a killed run leaves it, and the next one goes on there."""
 
+import errno
 import os
 import shutil
 from collections.abc import Iterator, Mapping
@@ -22,6 +23,9 @@ from data_prep.prepare.record import (
 
 EXTRAS = ("report.html", "report.json", "pats_missing.csv")
 """What a run writes besides clips, records, table and manifest."""
+
+LEAST_ROOM = 4 << 20
+"""Bytes that must be free for a failure not to be the disk's."""
 
 _MAKING = ".making"
 """Folder of what is being made and belongs to no source yet."""
@@ -188,3 +192,14 @@ def _move(part: Path, output: Path, old: Path) -> None:
         shutil.rmtree(old, ignore_errors=True)
     else:
         os.replace(part, output)
+
+
+def check_room(folder: Path) -> None:
+    """Stop where a disk is full: whatever failed there failed of it.
+
+    Raises:
+        OSError: less than `LEAST_ROOM` is free.
+    """
+    if shutil.disk_usage(folder).free < LEAST_ROOM:
+        what = "no space is left on the disk; make room and repeat the command, it goes on there"
+        raise OSError(errno.ENOSPC, what, str(folder))

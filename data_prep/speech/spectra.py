@@ -29,7 +29,6 @@ MFCC_ROWS = 28
 """MFCC frames in the window of one video frame: seven video frames of four."""
 
 MFCC_COLUMNS = 12
-
 _FFT = 2048
 _HOP = 512
 _ONSET_RATE = SAMPLE_RATE * _HOP // SAMPLES_PER_TOKEN

@@ -46,7 +46,6 @@ _REACH = 1.0
 """Seconds of voiced time by which a phrase's end is moved to meet a pause."""
 
 _VOWELS = re.compile(r"[aeiouyаеёиоуыэюяєіїαεηιουω]+")
-
 _PHRASE_END = re.compile(r"[.,;:!?…][\"'”’)]*$")
 
 
@@ -149,13 +148,9 @@ _PROMPT = re.compile(r"\s*(\d+)\s+(\d+)\s+(?=\D)")
 """First and last sample, which corpora in TIMIT's style put before the text."""
 
 _LISTS = ("words", "w", "segments", "fragments", "results", "result", "monologues", "elements")
-
 _TEXTS = ("word", "text", "content", "value", "t", "lines", "transcript")
-
 _STARTS = ("start", "begin", "startTime", "start_time", "b", "ts")
-
 _ENDS = ("end", "endTime", "end_time", "e", "end_ts")
-
 _LENGTHS = ("duration", "dur", "d")
 
 

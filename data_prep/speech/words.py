@@ -124,9 +124,7 @@ def spread(cues: list[Cue]) -> list[Word]:
 
 
 _TIME = r"(?:(\d+):)?(\d{1,2}):(\d{1,2})[.,](\d{1,3})"
-
 _LINE = re.compile(rf"\s*{_TIME}\s*-->\s*{_TIME}")
-
 _STAMP = re.compile(rf"<{_TIME}>")
 
 _INSTANT = 0.05
