@@ -1,16 +1,12 @@
-"""Writing a video with its sound as the frames come (mp4, H.264 and AAC).
-
-Encoding of a video beside the work that makes its frames.
-"""
+"""Videos written with their sound as the frames come (mp4, H.264, AAC), in a thread or not."""
 
 import contextlib
 import itertools
-import queue
-import threading
+from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
 
 import av
 import av.error
@@ -36,13 +32,10 @@ _BLOCK = 16384
 _PRESET = "veryfast"
 """Of x264: about 200 frames of 256x256 a second on one core, at half the size of "superfast"."""
 
-_BT709 = 1
-_LIMITED_RANGE = 1
+_BT709, _LIMITED_RANGE = 1, 1
 
 _TAGS = {
-    "colorspace": "bt709",
-    "color_primaries": "bt709",
-    "color_trc": "bt709",
+    **dict.fromkeys(("colorspace", "color_primaries", "color_trc"), "bt709"),
     "color_range": "tv",
 }
 
@@ -227,12 +220,7 @@ class VideoWriter:
         """Return the writer itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         """Finish the file; after an error only let go of it."""
         if kind is None:
             self.close()
@@ -282,11 +270,9 @@ class WriteThread:
     """
 
     def __init__(self, video: VideoWriter, held: int = 4) -> None:
-        self._video = video
-        self._waiting: queue.Queue[np.ndarray | None] = queue.Queue(held)
-        self._error: BaseException | None = None
-        self._stopped = False
-        self._thread = threading.Thread(target=self._run, name="encoder", daemon=True)
+        self._video, self._held = video, held
+        self._pool = ThreadPoolExecutor(1, "encoder")
+        self._waiting: deque[Future[None]] = deque()
 
     def write(self, frames: np.ndarray) -> None:
         """Append frames `(b, H, W, 3)` uint8 RGB, which must not be changed afterwards.
@@ -294,37 +280,20 @@ class WriteThread:
         Raises:
             BadInput: what the writer raised for earlier frames, such as damaged sound.
         """
-        self._raise()
-        self._waiting.put(frames)
+        while self._waiting and (len(self._waiting) > self._held or self._waiting[0].done()):
+            self._waiting.popleft().result()
+        self._waiting.append(self._pool.submit(self._write, frames))
 
-    def _run(self) -> None:
-        while (frames := self._waiting.get()) is not None:
-            if self._error is not None or self._stopped:
-                continue  # let a caller that waits for room go on to its own end
-            try:
-                for frame in frames:
-                    self._video.write(frame)
-            except BaseException as error:  # raised again in the caller's thread
-                self._error = error
-
-    def _raise(self) -> None:
-        if self._error is not None:
-            raise self._error
+    def _write(self, frames: np.ndarray) -> None:
+        for frame in frames:
+            self._video.write(frame)
 
     def __enter__(self) -> "WriteThread":
-        """Start the thread."""
-        self._thread.start()
+        """Return the thread itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Wait until all is written; after an error only for the frame under way."""
-        self._stopped = kind is not None
-        self._waiting.put(None)
-        self._thread.join()
-        if kind is None:
-            self._raise()
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        """Wait until all is written; after an error only for the batch under way."""
+        self._pool.shutdown(cancel_futures=kind is not None)
+        while kind is None and self._waiting:
+            self._waiting.popleft().result()
