@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, is_dataclass
 from pathlib import Path
@@ -157,8 +158,9 @@ class StageContext:
                     return load_file(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         made = {key: value.contiguous().cpu() for key, value in make().items()}
-        with whole_file(path, force=True) as part:
-            save_file(made, part, {"identity": self.run.identity})
+        if int(os.environ.get("LOCAL_RANK", "0")) == 0:  # the same in every process
+            with whole_file(path, force=True) as part:
+                save_file(made, part, {"identity": self.run.identity})
         return made
 
 
