@@ -34,17 +34,20 @@ def estimate(
     """
     device, rest = next(estimator.parameters()).device, iter(frames)
     while held := list(itertools.islice(rest, batch)):
-        with torch.no_grad():
-            yield estimator(from_pixels(torch.from_numpy(np.stack(held)).to(device)))
+        with torch.no_grad():  # left before the caller goes on
+            found = estimator(from_pixels(torch.from_numpy(np.stack(held)).to(device)))
+        yield Regions(found.shift, found.covariance, found.affine)  # heatmaps fill the memory
 
 
 def measure_motion(
     estimator: RegionEstimator, frames: Iterable[NDArray[np.uint8]], batch: int = 16
 ) -> Motion:
     """Region motion (T, K) of frames on the CPU; arguments as `estimate`, at least one frame."""
-    found = list(estimate(estimator, frames, batch))
-    shifts = [regions.shift.cpu() for regions in found]
-    factors = [encode_cholesky(regions.covariance).cpu() for regions in found]
+    parts = [
+        (regions.shift.cpu(), encode_cholesky(regions.covariance).cpu())
+        for regions in estimate(estimator, frames, batch)
+    ]
+    shifts, factors = zip(*parts, strict=True)
     return Motion(torch.cat(shifts), torch.cat(factors))
 
 

@@ -1,5 +1,6 @@
 """Evaluation from start to end: spaces, rows, scores, pictures, videos, report."""
 
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -91,7 +92,7 @@ def evaluate(
             spaces.append(
                 score_space(data, space, rows, group, part, number, config, pictures=drawn)
             )
-            remove_folder(scratch)
+            shutil.rmtree(scratch, ignore_errors=True)
         return finish(data, spaces, part, config)
 
 
@@ -113,14 +114,6 @@ def _grouped(folders: Sequence[Path]) -> list[dict[str, Bundle]]:
         bundle.path_of("renderer")
         groups.setdefault(bundle.hash_of("renderer"), {})[name] = bundle
     return list(groups.values())
-
-
-def remove_folder(folder: Path) -> None:
-    """Remove a folder of files, if it is there."""
-    if folder.is_dir():
-        for path in folder.iterdir():
-            path.unlink()
-        folder.rmdir()
 
 
 def seeds_of(config: EvaluationConfig) -> list[int]:

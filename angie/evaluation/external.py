@@ -1,5 +1,6 @@
 """Videos of any system against a dataset: regions by the bundle's estimator, sound of their own."""
 
+import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,7 +16,6 @@ from angie.evaluation import report
 from angie.evaluation.evaluate import (
     Pictures,
     finish,
-    remove_folder,
     score_space,
     seeds_of,
 )
@@ -187,7 +187,7 @@ def evaluate_videos(
             pictures=drawn if config.images else None,
             shown=matched[0].path.stem if matched else None,
         )  # fmt: skip
-        remove_folder(scratch)
+        shutil.rmtree(scratch, ignore_errors=True)
         return finish(data, [result], part, config)
 
 

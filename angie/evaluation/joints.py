@@ -1,7 +1,7 @@
 """The phantom's true joints in the frames of a dataset, and reading joints from regions."""
 
 import zipfile
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -57,32 +57,16 @@ def _joints_of(path: Path, clip: Clip, source: dict[str, Any]) -> NDArray | None
     return (part - [crop["x"], crop["y"]]) * (IMAGE_SIZE / crop["size"])
 
 
-@dataclass(frozen=True)
-class JointReader:
-    """Reads joints from region motion by ridge regression.
-
-    Attributes:
-        mean: (C,) of the motion vectors.
-        scale: (C,) their deviation.
-        weights: (C + 1, 2 J), the last row for the constant.
-    """
-
-    mean: NDArray
-    scale: NDArray
-    weights: NDArray
-
-    def __call__(self, vectors: NDArray) -> NDArray:
-        """Joints (T, J, 2) in pixels of motion vectors (T, C)."""
-        inputs = (vectors - self.mean) / self.scale
-        return (np.c_[inputs, np.ones(len(inputs))] @ self.weights).reshape(len(inputs), -1, 2)
+JointReader = Callable[[NDArray], NDArray]
+"""Gives joints (T, J, 2) in pixels of motion vectors (T, C)."""
 
 
 def fit_reader(vectors: NDArray, joints: NDArray) -> JointReader:
-    """Fit a reader to motion vectors (n, C) and joints (n, J, 2) of training frames."""
-    mean, scale = vectors.mean(0), np.maximum(vectors.std(0), 1e-6)
-    inputs = np.c_[(vectors - mean) / scale, np.ones(len(vectors))]
-    penalty = RIDGE * len(vectors) * np.eye(inputs.shape[1])
-    penalty[-1, -1] = 0  # the constant is free
-    target = joints.reshape(len(joints), -1)
-    weights = np.linalg.solve(inputs.T @ inputs + penalty, inputs.T @ target)
-    return JointReader(mean, scale, weights)
+    """Fit a ridge regression of joints (n, J, 2) on motion vectors (n, C) of training frames."""
+    from sklearn.linear_model import Ridge  # slow to import
+    from sklearn.pipeline import make_pipeline
+    from sklearn.preprocessing import StandardScaler
+
+    model = make_pipeline(StandardScaler(), Ridge(RIDGE * len(vectors)))
+    model.fit(vectors, joints.reshape(len(joints), -1))
+    return lambda vectors: model.predict(vectors).reshape(len(vectors), -1, 2)

@@ -4,6 +4,7 @@ The rows and scores are those of regions, of joints at 25 frames a second; nothi
 numbers are never comparable with those of regions.
 """
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ import torch
 
 from angie.bundle import Bundle
 from angie.evaluation import report
-from angie.evaluation.evaluate import finish, make_rows, remove_folder, score_space
+from angie.evaluation.evaluate import finish, make_rows, score_space
 from angie.evaluation.networks import EvaluationConfig, stored_autoencoder
 from angie.evaluation.rows import Row, perform, row_names, systems
 from angie.evaluation.space import RegionSpace
@@ -71,7 +72,7 @@ def evaluate_joints(
         result = score_space(data, space, rows, models, part, 0, config)
         for name, motions in found.items():
             result["warnings"] += shorter_or_longer(space, name, motions)
-        remove_folder(part / "features")
+        shutil.rmtree(part / "features", ignore_errors=True)
         return finish(data, [result], part, config)
 
 

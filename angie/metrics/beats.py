@@ -15,8 +15,6 @@ from scipy.signal import argrelextrema
 from angie.metrics.score import Score, not_finite
 from data_prep.speech.synchrony import (
     NEAR,
-    PROMINENCE,
-    SMOOTH,
     activity,
     beat_consistency,
     matches,
@@ -91,24 +89,8 @@ def consistency(
     return Score(total / count, counts=_counts(scored, still, silent, onsets=count))
 
 
-def _gesture_beats(clip: NDArray, fps: float, kind: str) -> NDArray:
-    speed = steps(clip).mean(1) * fps
-    if kind == "speed":
-        return smooth_minima(speed, fps)
-    if kind == "deceleration":
-        if len(speed) < 3:
-            return np.zeros(0)  # one step has no slope
-        slope = np.gradient(gaussian_filter1d(speed[1:], SMOOTH * fps)) * fps
-        return minima(slope, fps, PROMINENCE * float(np.abs(slope).mean())) + 1 / fps
-    raise ValueError(f"kind is speed or deceleration, not {kind!r}")
-
-
 def matched(
-    points: Sequence[NDArray],
-    onsets: Sequence[NDArray],
-    fps: float,
-    near: float = NEAR,
-    kind: str = "speed",
+    points: Sequence[NDArray], onsets: Sequence[NDArray], fps: float, near: float = NEAR
 ) -> Score:
     """Percentage of matched beats, PMB (Rhythmic Gesticulator, Ao et al. 2022), 0 to 100.
 
@@ -122,14 +104,13 @@ def matched(
         onsets: (m,) of each clip, seconds.
         fps: frames a second.
         near: seconds.
-        kind: "speed", or "deceleration" for the local minima of the speed's derivative.
     """
     broken = not_finite(points)
     if broken is not None:
         return broken
     hits, beats, still, silent = 0, 0, 0, 0
     for clip, sound in zip(points, onsets, strict=True):
-        found = _gesture_beats(clip, fps, kind)
+        found = smooth_minima(steps(clip).mean(1) * fps, fps)
         if not len(sound):
             silent += 1
         elif not len(found):
@@ -144,10 +125,10 @@ def matched(
 
 
 def matched_curve(
-    points: Sequence[NDArray], onsets: Sequence[NDArray], fps: float, kind: str = "speed"
+    points: Sequence[NDArray], onsets: Sequence[NDArray], fps: float
 ) -> dict[float, Score]:
     """PMB for each threshold of `CURVE`, seconds to score."""
-    return {near: matched(points, onsets, fps, near, kind) for near in CURVE}
+    return {near: matched(points, onsets, fps, near) for near in CURVE}
 
 
 def _aist_beats(clip: NDArray, fps: float) -> NDArray:

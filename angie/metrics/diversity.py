@@ -104,23 +104,6 @@ def pairwise(rows: NDArray, seed: int = 0) -> Score:
     )
 
 
-def lexeme_entropy(codes: NDArray, size: int) -> Score:
-    """Entropy -sum p log p of codes in nat (Rhythmic Gesticulator, Ao et al. 2022, equation 23).
-
-    Args:
-        codes: integers in [0, size), any shape.
-        size: number of codes there are.
-    """
-    codes = np.asarray(codes).reshape(-1)
-    if not len(codes):
-        return Score.missing("no codes", codes=0)
-    share = np.bincount(codes, minlength=size) / len(codes)
-    share = share[share > 0]
-    return Score(
-        float(-(share * np.log(share)).sum()), counts={"codes": len(codes), "different": len(share)}
-    )
-
-
 BINS = 60
 """Bins of a histogram (GENEA, released code), besides the one for what is faster."""
 

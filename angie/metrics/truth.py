@@ -43,23 +43,17 @@ def maje(real: Sequence[NDArray], made: Sequence[NDArray]) -> Score:
     return Score(total / frames, counts={"frames": frames})
 
 
-def mad(
-    real: Sequence[NDArray], made: Sequence[NDArray], fps: float, variant: str = "norm"
-) -> Score:
-    """Mean acceleration difference: mean |a - a'| over frames and points.
+def mad(real: Sequence[NDArray], made: Sequence[NDArray], fps: float) -> Score:
+    """Mean acceleration difference: mean |a - a'| over frames and points, units / s^2.
 
-    - "norm" (Rhythmic Gesticulator, Ao et al. 2022; RACER): Euclidean norm, second differences
-      times fps^2, units / s^2.
-    - "absolute" (TriCon, released code): mean absolute of the coordinates, without fps^2.
+    Euclidean norm of second differences times fps^2 (Rhythmic Gesticulator, Ao et al. 2022;
+    RACER).
 
     Args:
         real: recorded points (T, n, D) of each clip; clips of 2 frames or fewer are left out.
         made: of the same shapes.
         fps: frames a second.
-        variant: "norm" or "absolute".
     """
-    if variant not in ("norm", "absolute"):
-        raise ValueError(f"variant is norm or absolute, not {variant!r}")
     broken = not_finite(real, made)
     if broken is not None:
         return broken
@@ -67,10 +61,7 @@ def mad(
     frames = sum(len(change) for change in apart)
     if not frames:
         return Score.missing("no clip has more than 2 frames", frames=0)
-    if variant == "norm":
-        sizes = [np.linalg.norm(change, axis=-1).mean(1) * fps**2 for change in apart]
-    else:
-        sizes = [np.abs(change).mean(axis=(1, 2)) for change in apart]
+    sizes = [np.linalg.norm(change, axis=-1).mean(1) * fps**2 for change in apart]
     return Score(float(np.concatenate(sizes).mean()), counts={"frames": frames})
 
 

@@ -89,17 +89,6 @@ def test_the_curve_rises_with_the_threshold():
     assert [curve[near].value for near in (0.2, 0.25)] == [0, 100]
 
 
-def test_deceleration_is_strongest_a_quarter_before_the_minimum():
-    at = np.arange(150) / FPS
-    path = np.cumsum(1 - np.cos(2 * np.pi * at))  # slowest at whole seconds
-    clip = np.stack([path, 0 * path], axis=1)[:, None]
-    early = np.arange(1.0, 7.0) - 0.25
-    score = beats.matched([clip], [early], FPS, near=0.1, kind="deceleration")
-    assert score.value == 100 and score.counts["beats"] == 6
-    with pytest.raises(ValueError, match="speed or deceleration"):
-        beats.matched([swinging(TIMES)], [TIMES], FPS, kind="jerk")
-
-
 def test_the_step_that_the_first_frame_lacks_takes_no_beat_from_those_after_it():
     frame = np.arange(150)
     path = np.cumsum(2 - np.cos(np.pi * (frame - 3) / 6))  # slowest in frames 3, 15, 27 ...
@@ -142,7 +131,6 @@ def test_motion_that_is_not_finite_is_told(score, hole):
     assert found.counts == {"not finite": 1}
 
 
-@pytest.mark.parametrize("kind", ["speed", "deceleration"])
-def test_one_frame_is_without_beats(kind):
-    score = beats.matched([swinging(TIMES)[:1]], [TIMES], FPS, kind=kind)
+def test_one_frame_is_without_beats():
+    score = beats.matched([swinging(TIMES)[:1]], [TIMES], FPS)
     assert score.value is None and score.counts["without motion beats"] == 1

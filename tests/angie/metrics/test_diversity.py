@@ -55,11 +55,3 @@ def test_windows_that_are_not_finite_are_told(hole):
         diversity.pairwise(features),
     ):
         assert (score.value, score.reason) == (None, "motion is not finite")
-
-
-def test_entropy_of_codes():
-    assert diversity.lexeme_entropy(np.array([[0, 1], [2, 3]]), 512).value == pytest.approx(
-        np.log(4)
-    )
-    assert diversity.lexeme_entropy(np.zeros(9, int), 512).value == 0
-    assert diversity.lexeme_entropy(np.zeros(0, int), 512).value is None
