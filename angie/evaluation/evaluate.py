@@ -27,6 +27,7 @@ from angie.evaluation.rows import (
     System,
     baselines,
     generated,
+    held,
     row_names,
     systems,
 )
@@ -34,7 +35,6 @@ from angie.evaluation.scoring import make_judge
 from angie.evaluation.space import RegionSpace, open_space
 from angie.evaluation.videos import in_turn, write_videos
 from angie.generators.stages import plain
-from angie.motion.clips import MotionClip
 from angie.motion.keypoints import KeypointDataset
 from angie.parts import source_commit
 from data_prep.dataset import Dataset
@@ -42,7 +42,6 @@ from data_prep.errors import BadInput
 from data_prep.files import check_apart, whole_folder
 from data_prep.progress import progress
 from data_prep.rates import FPS
-from mraa.motion import Motion
 from mraa.renderer import Renderer
 
 
@@ -116,18 +115,12 @@ def _grouped(folders: Sequence[Path]) -> list[dict[str, Bundle]]:
     return list(groups.values())
 
 
-def seeds_of(config: EvaluationConfig) -> list[int]:
-    """The seeds of the runs."""
-    return [config.seed + i for i in range(config.seeds)]
-
-
 def make_rows(space: RegionSpace, entered: Sequence[System], config: EvaluationConfig) -> list[Row]:
     """Ground truth, the baselines, and what each system generates."""
-    seeds = seeds_of(config)
-    rows = baselines(space, seeds)
+    rows = baselines(space, config.run_seeds)
     with progress("gestures", len(entered), "generators") as advance:
         for system in entered:
-            rows.append(generated(space, system, seeds, config.start, config.greedy))
+            rows.append(generated(space, system, config.run_seeds, config.start, config.greedy))
             advance()
     return rows
 
@@ -197,18 +190,6 @@ def score_space(
     }
 
 
-def finish(
-    data: Dataset | KeypointDataset,
-    spaces: list[dict[str, Any]],
-    folder: Path,
-    config: EvaluationConfig,
-) -> dict[str, Any]:
-    """Write the report of spaces into a folder; the content of its results.json."""
-    numbers = numbers_of(data, spaces, config)
-    report.write_report(folder, data.path.resolve().name, numbers)
-    return numbers
-
-
 def describe(bundle: Bundle, data: Dataset | KeypointDataset) -> dict[str, Any]:
     """What a report says of a bundle."""
     parts = bundle.manifest["parts"]
@@ -256,7 +237,7 @@ def _score_images(
         TRUE_REGIONS: "Drawn from the regions of the recorded frames: the renderer only.",
         "motionless": "Drawn from the first pose throughout.",
     }
-    drivers: dict[str, Driver] = {"motionless": _held}
+    drivers: dict[str, Driver] = {"motionless": held}
     for system in entered:
         if system.family.reconstruct is not None:
             drivers[system.name] = _through_tokens(system)
@@ -270,10 +251,6 @@ def _score_images(
     }
 
 
-def _held(clip: MotionClip) -> Motion:
-    return clip.motion.like(clip.motion[:1].vector().expand(clip.motion.frames, -1))
-
-
 def _through_tokens(system: System) -> Driver:
     """Gives a clip's motion as the generator's own tokens give it back."""
     through, generator = system.family.reconstruct, system.bundle.generator(system.generator)
@@ -281,10 +258,13 @@ def _through_tokens(system: System) -> Driver:
     return lambda clip: through(generator, clip, system.knows(clip.speaker))
 
 
-def numbers_of(
-    data: Dataset | KeypointDataset, spaces: list[dict[str, Any]], config: EvaluationConfig
+def finish(
+    data: Dataset | KeypointDataset,
+    spaces: list[dict[str, Any]],
+    folder: Path,
+    config: EvaluationConfig,
 ) -> dict[str, Any]:
-    """The content of results.json."""
+    """Write the report of spaces into a folder; the content of its results.json."""
     about: dict[str, Any] = {
         "name": data.path.resolve().name,
         "sha256": data.digest,
@@ -295,7 +275,7 @@ def numbers_of(
         clips = data.clips(split)
         about[f"{split}_clips"] = len(clips)
         about[f"{split}_minutes"] = round(sum(clip.n_frames for clip in clips) / FPS / 60, 3)
-    return {
+    numbers = {
         "angie": __version__,
         "commit": source_commit(),
         "dataset": about,
@@ -303,3 +283,5 @@ def numbers_of(
         "spaces": spaces,
         "definitions": [asdict(d) for d in report.ALL],
     }
+    report.write_report(folder, data.path.resolve().name, numbers)
+    return numbers

@@ -17,7 +17,6 @@ from angie.evaluation.evaluate import (
     Pictures,
     finish,
     score_space,
-    seeds_of,
 )
 from angie.evaluation.images import FrameJudge, FrameScores, compare, pick, read_chosen
 from angie.evaluation.joints import true_joints
@@ -172,7 +171,7 @@ def evaluate_videos(
         (name,) = row_names([folder])
         about = f"{len(watched)} videos, {known} of them named like a test clip of the dataset."
         rows = [
-            *baselines(space, seeds_of(config)),
+            *baselines(space, config.run_seeds),
             Row(name, about, [[w.performance for w in watched]]),
         ]
         matched = [w for w in watched if w.clip is not None]

@@ -89,6 +89,11 @@ class EvaluationConfig:
             )
 
     @property
+    def run_seeds(self) -> list[int]:
+        """The seed of every run."""
+        return [self.seed + i for i in range(self.seeds)]
+
+    @property
     def choice(self) -> FrameChoice:
         """Which frames have image scores."""
         return FrameChoice(self.image_stride, self.image_seconds)

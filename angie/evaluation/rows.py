@@ -138,12 +138,14 @@ def ground_truth(space: RegionSpace) -> Row:
     return Row("ground truth", "The motion that was recorded with the sound.", [run])
 
 
+def held(clip: MotionClip) -> Motion:
+    """The first pose of a clip throughout."""
+    return clip.motion.like(clip.motion[:1].vector().expand(clip.motion.frames, -1))
+
+
 def motionless(space: RegionSpace) -> Row:
     """The first pose of each clip, held."""
-    run = []
-    for clip in space.test:
-        vector = clip.motion[:1].vector().expand(clip.motion.frames, -1)
-        run.append(perform(clip, clip.motion.like(vector)))
+    run = [perform(clip, held(clip)) for clip in space.test]
     return Row("motionless", "The first pose of each clip, held.", [run])
 
 
