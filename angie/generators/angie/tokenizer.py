@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from angie.layers.codebook import Codebook, Quantized
-from angie.layers.vqvae import Decoder, Encoder
+from angie.layers.vqvae import Codebook, Decoder, Encoder, Quantized
 from angie.motion.channels import QUANTS
 from angie.motion.windows import WINDOW_TOKENS, cross_fade
 from data_prep.rates import FRAMES_PER_TOKEN

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from angie.layers.codebook import IDLE_STEPS, Codebook, cluster
+from angie.layers.vqvae import IDLE_STEPS, Codebook, cluster
 
 
 def learned(update: str = "ema", codes: int = 4, width: int = 2, **options) -> Codebook:
