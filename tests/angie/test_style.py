@@ -7,13 +7,12 @@ import pytest
 import torch
 from PIL import Image
 
-from angie.bundle import Bundle, styles
+from angie.bundle import styles
 from angie.cli import main
 from angie.pipeline import GesturePipeline, scale_displacement
 from angie.source import View
 from data_prep.errors import BadInput
 from data_prep.media.audio import write_wav
-from data_prep.media.video import read_frames
 from data_prep.phantom.make import recording, still
 from data_prep.speaker.crop import Crop, cut_out
 from mraa.draw import source_pose
@@ -60,23 +59,16 @@ def call(monkeypatch, capsys, *arguments):
     return status, captured.out, captured.err
 
 
-def video_of(inputs, path, bundle, **options):
-    photo, speech = inputs / "photo.png", inputs / "speech.wav"
-    pipe = GesturePipeline(Bundle.open(bundle.folder))
-    pipe(photo, speech, view=View(crop=CROP), **options).save(path)
-    return np.stack(list(read_frames(path))).astype(int)
-
-
-def test_a_style_changes_the_video_but_not_its_first_frame(inputs, joint_bundle, tmp_path):
-    names = styles(joint_bundle)
+def test_a_style_changes_the_video_but_not_its_first_frame(inputs, joint_bundle):
+    pipe = GesturePipeline(joint_bundle)
+    photo, speech, view = inputs / "photo.png", inputs / "speech.wav", View(crop=CROP)
     videos = [
-        video_of(inputs, tmp_path / f"{number}.mp4", joint_bundle, style=name)
-        for number, name in enumerate((None, *names))
+        np.concatenate(list(pipe(photo, speech, style=name, view=view))).astype(int)
+        for name in (None, *styles(joint_bundle))
     ]
     for one, other in itertools.combinations(videos, 2):
-        changed = np.abs(one - other).mean(axis=(1, 2, 3))
-        # of 255; the first frames are one picture, on which H.264 spends its bits differently
-        assert changed[0] < 1 and changed[1:].max() > 1.5 * changed[0]
+        changed = np.abs(one - other).mean(axis=(1, 2, 3))  # of 255
+        assert changed[0] == 0 and changed[1:].max() > 0.1
 
 
 def test_the_command_names_a_style(
