@@ -5,7 +5,6 @@ from functools import partial
 
 import numpy as np
 import torch
-from torch import nn
 from torch.nn.functional import softplus
 
 from angie.generators.base import Family, ResamplingGenerator, resample
@@ -27,14 +26,12 @@ class ToyGenerator(ResamplingGenerator):
     fps, features, lookahead, random = RATE, ("toy_sound",), 1 / RATE, True
 
     def __init__(self, parts, precision):
-        self.edges, statistics = parts.tensors("toy.bins")["edges"], parts.statistics()
-        mover = Mover(parts.settings("toy").width, 5 * statistics.regions)
-        self.mover, self.scale = parts.load("toy.mover", mover), statistics.pose_scale
+        self.edges, self.scale = parts.tensors("toy.bins")["edges"], parts.statistics().pose_scale
+        self.mover = parts.load("toy.mover", Mover(parts.settings("toy").width, len(self.scale)))
 
     @torch.no_grad()
     def generate_own(self, speech, start, frames, *, seed=0, greedy=None, **others):
-        rows = torch.from_numpy(speech["toy_sound"])
-        rows = rows[torch.arange(frames).clamp_max(len(rows) - 1)]
+        rows = torch.from_numpy(speech["toy_sound"].take(range(frames), axis=0, mode="clip"))
         noise = torch.randn(1, NOISE, generator=torch.Generator().manual_seed(seed))
         moved = self.mover(rows[None], self.edges, 0 * noise if greedy else noise)[0]
         return positive(start.like(start.vector() + (moved - moved[:1]) * self.scale))
@@ -73,7 +70,7 @@ def train_mover(context):
         rows = torch.from_numpy(clip.speech["toy_sound"][: len(moved)])
         items += zip(rows.split(30)[:-1], moved.split(30)[:-1], strict=True)
     size, run = moved.shape[1], context.begin(context.settings.steps)
-    mover, critic = Mover(context.settings.width, size), nn.Linear(size, 1)
+    mover, critic = Mover(context.settings.width, size), torch.nn.Linear(size, 1)
     move = run.add("mover", mover, torch.optim.Adam(mover.parameters(), 1e-2))
     judge = run.add("critic", critic, torch.optim.Adam(critic.parameters(), 1e-2))
     batches = run.batches(items, 4)

@@ -1,5 +1,3 @@
-"""The network and the speech feature of the toy generator."""
-
 import numpy as np
 import torch
 from torch import nn
@@ -10,8 +8,7 @@ from data_prep.speech.features import register_feature
 RATE, BINS, NOISE = 15, 8, 4
 
 
-def sound(speech):
-    """Loudness, and whether a word begins, (n, 2) of every frame at 15 a second."""
+def sound(speech):  # loudness, and whether a word begins, (n, 2) of every frame at 15 a second
     power = speech.samples.astype(np.float64) ** 2
     starts = np.arange(-(-len(power) * RATE // SAMPLE_RATE)) * SAMPLE_RATE // RATE
     rows = np.zeros((len(starts), 2), np.float32)
