@@ -46,8 +46,7 @@ from angie.parts import (
     upstream_of,
 )
 from data_prep.errors import BadInput
-from data_prep.files import whole_file
-from data_prep.prepare.source import sha256
+from data_prep.files import sha256, whole_file
 from data_prep.rates import FPS, IMAGE_SIZE
 from mraa.avd import AvdNetwork
 from mraa.renderer import Renderer, make_avd

@@ -7,8 +7,7 @@ from pathlib import Path
 from angie.bundle import Bundle
 from angie.config import Preset, fitted
 from data_prep.errors import BadInput
-from data_prep.files import check_apart, whole_folder
-from data_prep.prepare.source import sha256
+from data_prep.files import check_apart, sha256, whole_folder
 from data_prep.progress import console
 from data_prep.rates import IMAGE_SIZE
 from data_prep.speaker.crop import FACE_DOWN, SIDE_IN_FACES

@@ -1,6 +1,7 @@
 """Outputs appear whole or not at all: written beside their place, then moved there."""
 
 import atexit
+import hashlib
 import os
 import secrets
 import shutil
@@ -160,3 +161,9 @@ def numba_cache() -> None:
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
     if "numba" in sys.modules:  # which read the environment when it was imported
         sys.modules["numba"].config.CACHE_DIR = str(folder)
+
+
+def sha256(path: Path) -> str:
+    """Hash of a file's content as hexadecimal digits."""
+    with Path(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

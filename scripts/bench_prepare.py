@@ -22,8 +22,7 @@ from data_prep.media.video import probe
 from data_prep.phantom.make import make_phantom
 from data_prep.prepare.clips import FOLDERS
 from data_prep.prepare.ingest import ingest
-from data_prep.prepare.outcome import IngestionConfig
-from data_prep.prepare.source import Source
+from data_prep.prepare.source import IngestionConfig, Source
 
 
 def decode(path: Path) -> None:

@@ -25,8 +25,8 @@ from angie.training import train
 from data_prep.dataset import TABLE, Dataset, write_table
 from data_prep.media.audio import read_sound
 from data_prep.media.video import VideoWriter, read_frames
-from data_prep.prepare.outcome import IngestionConfig
 from data_prep.prepare.prepare import prepare
+from data_prep.prepare.source import IngestionConfig
 from data_prep.rates import FPS, SAMPLE_RATE
 from data_prep.speaker.crop import Crop, find_people, speaker_crop
 from mraa.reconstruction import reconstruct

@@ -19,8 +19,7 @@ from data_prep.errors import BadInput
 from data_prep.media.photo import read_photo
 from data_prep.media.video import probe, read_frames
 from data_prep.prepare.analysis import analyse
-from data_prep.prepare.outcome import IngestionConfig
-from data_prep.prepare.source import EXTENSIONS
+from data_prep.prepare.source import EXTENSIONS, IngestionConfig
 from data_prep.prepare.spans import find_takes
 from data_prep.speaker.crop import speaker_crop
 from data_prep.speaker.faces import Face, find_people

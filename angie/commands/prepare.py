@@ -82,8 +82,8 @@ def prepare(
 
     Repeated, the command goes on where it was killed, or makes what videos have come since.
     """
-    from data_prep.prepare.outcome import IngestionConfig
     from data_prep.prepare.prepare import prepare as make
+    from data_prep.prepare.source import IngestionConfig
 
     places = [*(videos or []), *(folder or [])]
     if not places:

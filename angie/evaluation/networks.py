@@ -29,7 +29,7 @@ from angie.metrics.images import IdentityNetwork, IdentityTraining, train_identi
 from angie.motion.clips import MotionClip
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
-from data_prep.prepare.source import sha256
+from data_prep.files import sha256
 from data_prep.rates import FPS
 from mraa.perceptual import PerceptualDistance
 from mraa.renderer import Renderer

@@ -12,7 +12,7 @@ from av.video.frame import VideoFrame
 
 from data_prep.errors import BadInput
 from data_prep.media.container import open_media
-from data_prep.prepare.outcome import Outcome, Span
+from data_prep.prepare.source import Outcome, Span
 from data_prep.rates import FPS
 
 FRAMES = 6

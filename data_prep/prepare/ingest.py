@@ -10,6 +10,7 @@ import numpy as np
 
 from data_prep.dataset import Clip
 from data_prep.errors import BadInput
+from data_prep.files import sha256
 from data_prep.media.audio import AUDIBLE, read_sound
 from data_prep.media.container import check_file
 from data_prep.media.video import VideoInfo, probe, read_frames
@@ -25,9 +26,8 @@ from data_prep.prepare.clips import (
     write_clip,
 )
 from data_prep.prepare.contact_sheet import write_sheet
-from data_prep.prepare.outcome import ClipDetail, IngestionConfig, Outcome, Span
 from data_prep.prepare.record import Record, files_of
-from data_prep.prepare.source import Source, sha256
+from data_prep.prepare.source import ClipDetail, IngestionConfig, Outcome, Source, Span
 from data_prep.prepare.spans import MIN_FRAMES, NO_PERSON, TWO_PEOPLE, Take, find_takes
 from data_prep.prepare.workplace import check_room
 from data_prep.rates import FPS, SAMPLE_RATE, SAMPLES_PER_FRAME, frames_covering

@@ -10,8 +10,15 @@ from pathlib import Path
 from urllib.parse import parse_qs, urlparse
 
 from data_prep.errors import BadInput
-from data_prep.prepare.outcome import Outcome
-from data_prep.prepare.source import EXTENSIONS, Source, name_sources, placed, plain, videos_in
+from data_prep.prepare.source import (
+    EXTENSIONS,
+    Outcome,
+    Source,
+    name_sources,
+    placed,
+    plain,
+    videos_in,
+)
 
 MISSING = "pats_missing.csv"
 MISSING_COLUMNS = (

@@ -8,9 +8,8 @@ from typing import Any
 
 from data_prep.dataset import FORMAT, MANIFEST, TABLE, Dataset, write_table
 from data_prep.errors import BadInput
-from data_prep.files import check_apart
+from data_prep.files import check_apart, sha256
 from data_prep.prepare.ingest import Order, died, make_source
-from data_prep.prepare.outcome import IngestionConfig
 from data_prep.prepare.pats import (
     MISSING,
     not_kept,
@@ -21,7 +20,7 @@ from data_prep.prepare.pats import (
 )
 from data_prep.prepare.record import Record, key_of, read_records, write_json
 from data_prep.prepare.report import write_report
-from data_prep.prepare.source import Source, find_sources, name_sources, sha256
+from data_prep.prepare.source import IngestionConfig, Source, find_sources, name_sources
 from data_prep.prepare.split import BY_SOURCE, split_clips
 from data_prep.prepare.summary import Summary
 from data_prep.prepare.workplace import Workplace, check_place, making, workplace

@@ -13,8 +13,7 @@ import numpy as np
 from data_prep.dataset import Clip
 from data_prep.media.video import VideoInfo
 from data_prep.prepare.clips import FOLDERS
-from data_prep.prepare.outcome import ClipDetail, IngestionConfig, Outcome, Span
-from data_prep.prepare.source import Source
+from data_prep.prepare.source import ClipDetail, IngestionConfig, Outcome, Source, Span
 from data_prep.speaker.crop import Crop, Face
 
 PROCEDURE = 2

@@ -12,8 +12,8 @@ import numpy as np
 from markupsafe import Markup
 
 from data_prep.page import drawing, page_template
-from data_prep.prepare.outcome import ClipDetail
 from data_prep.prepare.record import Record, sheet_path, write_json
+from data_prep.prepare.source import ClipDetail
 from data_prep.prepare.split import SPLITS
 from data_prep.prepare.summary import NEGLIGIBLE, REPORT, Summary, counted, seconds_of
 from data_prep.rates import FPS

@@ -8,8 +8,8 @@ import numpy as np
 from data_prep.media.video import VideoInfo
 from data_prep.prepare.analysis import Analysis, View
 from data_prep.prepare.camera import FURTHEST
-from data_prep.prepare.outcome import IngestionConfig, Span
 from data_prep.prepare.shots import Shot
+from data_prep.prepare.source import IngestionConfig, Span
 from data_prep.speaker.crop import Crop, check_crop, choose_person, part_outside, speaker_crop
 from data_prep.speaker.faces import Face, median_face
 from data_prep.speaker.tracking import Sighting, Track, link, presence

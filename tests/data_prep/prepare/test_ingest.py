@@ -12,8 +12,7 @@ from data_prep.dataset import FrameStore
 from data_prep.media.video import read_frames
 from data_prep.prepare.clips import FOLDERS
 from data_prep.prepare.ingest import ingest
-from data_prep.prepare.outcome import IngestionConfig, Outcome
-from data_prep.prepare.source import Source
+from data_prep.prepare.source import IngestionConfig, Outcome, Source
 from data_prep.speaker.crop import Crop
 from data_prep.speech.words import Word
 

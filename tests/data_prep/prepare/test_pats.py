@@ -9,9 +9,9 @@ import pytest
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
 from data_prep.media.video import VideoWriter
-from data_prep.prepare.outcome import IngestionConfig
 from data_prep.prepare.pats import pats_sources, read_intervals, read_time
 from data_prep.prepare.prepare import prepare
+from data_prep.prepare.source import IngestionConfig
 from data_prep.speaker.crop import Crop
 
 HEADER = "dataset,delta_time,end_time,interval_id,speaker,start_time,video_fn,video_link\n"

@@ -16,9 +16,8 @@ from data_prep.media.video import VideoWriter, read_frames
 from data_prep.prepare import clips as clip_files
 from data_prep.prepare import ingest as making
 from data_prep.prepare.clips import LONGEST, SHORTEST, clip_bounds
-from data_prep.prepare.outcome import IngestionConfig
 from data_prep.prepare.prepare import prepare
-from data_prep.prepare.source import find_sources, plain
+from data_prep.prepare.source import IngestionConfig, find_sources, plain
 from data_prep.speaker.crop import Crop
 
 Draw = Callable[..., np.ndarray]

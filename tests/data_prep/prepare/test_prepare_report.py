@@ -12,11 +12,10 @@ import pytest
 from data_prep.dataset import Clip
 from data_prep.media.video import VideoInfo, VideoWriter
 from data_prep.prepare.contact_sheet import FRAMES, HEIGHT, write_sheet
-from data_prep.prepare.outcome import ClipDetail, IngestionConfig, Outcome, Span
 from data_prep.prepare.pats import Interval, Missing
 from data_prep.prepare.record import RECORDS, Record, read_records, write_record
 from data_prep.prepare.report import histogram, page, report_numbers, write_report
-from data_prep.prepare.source import Source
+from data_prep.prepare.source import ClipDetail, IngestionConfig, Outcome, Source, Span
 from data_prep.prepare.split import split_clips
 from data_prep.prepare.summary import Summary, counted
 from data_prep.speaker.crop import Crop, Face

@@ -17,8 +17,8 @@ from data_prep.dataset import Clip, Dataset
 from data_prep.errors import BadInput
 from data_prep.files import locked
 from data_prep.media.video import VideoWriter
-from data_prep.prepare.outcome import IngestionConfig
 from data_prep.prepare.prepare import prepare
+from data_prep.prepare.source import IngestionConfig
 from data_prep.prepare.split import split_clips
 from data_prep.prepare.summary import Summary
 from data_prep.speaker.crop import Crop

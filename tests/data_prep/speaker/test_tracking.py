@@ -7,8 +7,8 @@ from data_prep.errors import BadInput
 from data_prep.media.video import VideoInfo
 from data_prep.prepare.analysis import Analysis, BarDetector
 from data_prep.prepare.camera import CameraPath
-from data_prep.prepare.outcome import IngestionConfig
 from data_prep.prepare.shots import Shot
+from data_prep.prepare.source import IngestionConfig
 from data_prep.prepare.spans import find_takes
 from data_prep.speaker.crop import Crop, choose_person
 from data_prep.speaker.faces import Face, rivals
