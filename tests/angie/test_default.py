@@ -1,5 +1,6 @@
 """What ships with the package works, and is what it says."""
 
+import json
 import shutil
 
 import numpy as np
@@ -8,6 +9,7 @@ from PIL import Image
 
 from angie.bundle import BUNDLE, DEFAULT, PHOTO, SPEECH, Bundle
 from angie.opening import open_or_create
+from angie.parts import describe
 from angie.pipeline import GesturePipeline
 from data_prep.errors import BadInput
 from data_prep.media.audio import read_sound, write_wav
@@ -56,3 +58,32 @@ def test_motion_of_a_copy_is_trained_on_without_what_its_renderer_began_with(tmp
         assert made.settings("angie").train_vq.path_loss == 2.0
     with pytest.raises(BadInput, match="not the weights"):
         open_or_create(folder, None, changes, None, "renderer", resume=False, force=False)
+
+
+def test_a_generator_that_is_not_installed_does_not_stand_in_the_way_of_others(tmp_path):
+    folder = tmp_path / "copy"
+    shutil.copytree(BUNDLE, folder)
+    manifest = json.loads((folder / "bundle.json").read_text())
+    manifest["config"]["generators"]["robot"] = {"width": 3}
+    manifest["parts"]["robot.arm"] = {**manifest["parts"]["angie.gpt"], "file": "arm.safetensors"}
+    (folder / "bundle.json").write_text(json.dumps(manifest))
+    bundle = Bundle.open(folder)
+    assert bundle.generators == ["angie", "robot"] and bundle.parts[-2:] == ["robot.arm", "avd"]
+    assert bundle.generator().random and bundle.chosen() == "angie"
+    assert "robot: --generator robot: there is no such generator" in describe(bundle)
+    with pytest.raises(BadInput, match="there is no such generator"):
+        bundle.generator("robot")
+    bundle.write()  # what is not understood is kept
+    written = json.loads((folder / "bundle.json").read_text())
+    assert written["config"]["generators"] == manifest["config"]["generators"]
+    assert written["parts"] == manifest["parts"]
+
+
+def test_a_part_lies_in_the_folder_of_its_bundle(tmp_path):
+    folder = tmp_path / "copy"
+    shutil.copytree(BUNDLE, folder)
+    manifest = json.loads((folder / "bundle.json").read_text())
+    manifest["parts"]["angie.gpt"]["file"] = "../angie.gpt.safetensors"
+    (folder / "bundle.json").write_text(json.dumps(manifest))
+    with pytest.raises(BadInput, match="angie.gpt is not described as it should be"):
+        Bundle.open(folder)
