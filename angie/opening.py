@@ -18,11 +18,11 @@ from angie.generators.stages import plain
 from angie.parts import difference
 from data_prep.errors import BadInput
 from data_prep.files import check_output
+from mraa.perceptual import load_vgg19
 from mraa.regions import RegionEstimator
 from mraa.renderer import Renderer, RendererConfig, make_avd
 from mraa.training.objective import RendererTraining
 from mraa.training.renderer import load_initial
-from mraa.vgg import load_vgg19
 
 
 def initial_weights(training: RendererTraining, config: RendererConfig) -> Path:

@@ -49,7 +49,7 @@ from data_prep.media.photo import read_photo
 from data_prep.rates import FPS
 from mraa.flow import Flow
 from mraa.losses import TPS_NUMBERS, equivariance_of, thin_plate
-from mraa.perceptual import PerceptualPyramid, bands_distance
+from mraa.perceptual import PerceptualPyramid, Vgg, bands_distance
 from mraa.regions import Regions
 from mraa.renderer import Renderer
 from mraa.training.devices import keep_memory
@@ -57,7 +57,6 @@ from mraa.training.objective import Objective, RendererTraining, images
 from mraa.training.pairs import FramePairs, TrainingPair
 from mraa.training.renderer import adam, perceptual_loss
 from mraa.training.run import Run, RunConfig, native_precision
-from mraa.vgg import Vgg
 
 BATCH = {"paper": 4, "lite": 8}
 

@@ -9,10 +9,11 @@ from mraa.perceptual import (
     PerceptualPyramid,
     bands_distance,
     laplacian_distance,
+    load_vgg19,
+    random_vgg,
     ssim,
 )
 from mraa.training.objective import RendererTraining
-from mraa.vgg import load_vgg19, random_vgg
 
 
 def test_random_vgg_follows_from_its_seed_and_is_calibrated():
