@@ -202,7 +202,8 @@ class GesturePipeline:
         """
         bundle = Bundle.open(BUNDLE if folder is None else Path(folder))
         pipeline = cls(bundle, generator, device=device, precision=precision)
-        return pipeline if pipeline.generator and pipeline.renderer else pipeline
+        _ = pipeline.generator, pipeline.renderer  # loaded now, so that what is missing is told
+        return pipeline
 
     @cached_property
     def renderer(self) -> Renderer:
