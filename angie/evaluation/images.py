@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from angie.evaluation.definitions import PIXEL
+from angie.evaluation.definitions import IMAGES, PIXEL
 from angie.evaluation.joints import JointReader
 from angie.evaluation.rows import TRUE_REGIONS
 from angie.metrics import images
@@ -70,42 +70,34 @@ class FrameScores:
 
     def scores(self) -> dict[str, Score]:
         """All scores of `definitions.IMAGES`."""
-        keys = ("l1", "perceptual", "ssim", "psnr")
         if not self.pixels:
             reason = "no frame has a recorded counterpart"
-            more = ("aed", "akd", "akd_joints", "mkr", "flicker", *DRAWN)
-            return {key: Score.missing(reason) for key in (*keys, *more)}
-        result = {key: _mean_over_frames(self.pixels[key]) for key in keys}
+            return {definition.key: Score.missing(reason) for definition in IMAGES}
+        result = {key: _mean_over_frames(parts) for key, parts in self.pixels.items()}
+        drawn = Score.missing("what another system would draw of true regions is not known")
         for key in DRAWN:
-            result[key] = (
-                _mean_over_frames(self.drawn[key])
-                if self.drawn
-                else Score.missing("what another system would draw of true regions is not known")
-            )
-        result["aed"] = (
-            images.aed(*self.embeddings)
-            if self.embeddings[0]
-            else Score.missing(self.without_embeddings)
-        )
-        result["akd"] = images.akd(*self.shifts)
+            result[key] = _mean_over_frames(self.drawn[key]) if self.drawn else drawn
         points = self.detected if self.detected[0] else self.joints
-        result["akd_joints"] = (
-            images.akd(*points)
-            if points[0]
-            else Score.missing("the true joints are not known (phantom speaker: --truth)")
-        )
-        result["mkr"] = (
-            images.mkr(*self.detected)
-            if self.detected[0]
-            else Score.missing("needs key points of a detector (--videos with --detected)")
-        )
+        unknown = "the true joints are not known (phantom speaker: --truth)"
+        detector = "needs key points of a detector (--videos with --detected)"
         pairs = {"pairs of frames": len(self.flicker)}
-        result["flicker"] = (
-            Score(float(np.mean(self.flicker)), counts=pairs)
+        return result | {
+            "aed": _if_any(images.aed, self.embeddings, self.without_embeddings),
+            "akd": images.akd(*self.shifts),
+            "akd_joints": _if_any(images.akd, points, unknown),
+            "mkr": _if_any(images.mkr, self.detected, detector),
+            "flicker": Score(float(np.mean(self.flicker)), counts=pairs)
             if self.flicker
-            else Score.missing("no two frames in a row", **pairs)
-        )
-        return result
+            else Score.missing("no two frames in a row", **pairs),
+        }
+
+
+def _if_any(
+    metric: Callable[[list[NDArray], list[NDArray]], Score],
+    sides: tuple[list[NDArray], list[NDArray]],
+    reason: str,
+) -> Score:
+    return metric(*sides) if sides[0] else Score.missing(reason)
 
 
 def _mean_over_frames(parts: list[NDArray]) -> Score:
