@@ -4,11 +4,14 @@ What concerns onsets is librosa's; the cepstra are those of python_speech_featur
 """
 
 import functools
+import os
 from collections.abc import Callable
+from contextlib import nullcontext
 from types import ModuleType
 
 import numpy as np
 import soxr
+from filelock import FileLock
 from numpy.typing import NDArray
 from scipy.fft import dct
 
@@ -63,14 +66,22 @@ _FLOOR = np.finfo(np.float64).eps
 
 @functools.cache
 def load_librosa() -> ModuleType:
-    """Librosa with its beat tracker, imported when first needed; numba keeps what it compiles.
+    """Librosa with its beat tracker, imported and compiled when first needed.
 
-    What librosa does not keep is left so: kept all the same, by processes that compile it at the
-    same moment, it crashes them and every later one.
+    Numba keeps on disk what it compiles. Processes that compile a function of librosa at the same
+    moment mix up its files, and then they and all later ones crash; so they do it in turn.
     """
     numba_cache()
-    import librosa.beat
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    if folder:
+        os.makedirs(folder, exist_ok=True)
+    with FileLock(os.path.join(folder, "librosa.lock")) if folder else nullcontext():
+        import librosa.beat
 
+        strength = np.tile(np.array([1, 0, 0, 0], np.float32), 32)  # what is compiled when called
+        with np.errstate(divide="ignore"):  # the tempo of lag 0
+            librosa.beat.beat_track(onset_envelope=strength, sr=_ONSET_RATE, hop_length=_HOP)
+        librosa.onset.onset_detect(onset_envelope=strength, sr=SAMPLE_RATE)
     return librosa
 
 
