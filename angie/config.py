@@ -122,7 +122,7 @@ def preset(name: str, generator: str | None = None) -> Preset:
         BadInput: an unknown name.
     """
     if name not in PRESETS:
-        raise BadInput(f"--preset {name}: there are {', '.join(PRESETS)}")
+        raise BadInput(f"--preset {name}: choose from {', '.join(PRESETS)}")
     return with_generator(PRESETS[name](), generator)
 
 

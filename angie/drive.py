@@ -71,9 +71,9 @@ def drive(
     driving, view, bundle = driving or Driving(), view or View(), pipeline.bundle
     mode = driving.mode or ("avd" if "avd" in bundle.manifest["parts"] else "relative")
     if mode not in MODES:
-        raise BadInput(f"--mode {mode}: there are {', '.join(MODES)}")
+        raise BadInput(f"--mode {mode}: choose from {', '.join(MODES)}")
     if driving.person not in (None, *PEOPLE):
-        raise BadInput(f"--drive-person {driving.person}: there are {', '.join(PEOPLE)}")
+        raise BadInput(f"--drive-person {driving.person}: choose from {', '.join(PEOPLE)}")
     info = probe(video)
     subject = pipeline.subject(photo, view)
     avd = bundle.avd().to(pipeline.device) if mode == "avd" else None

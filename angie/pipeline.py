@@ -253,7 +253,7 @@ class GesturePipeline:
         """
         view = view or View()
         if scale_motion not in SCALES:
-            raise BadInput(f"--scale-motion {scale_motion}: there are {' and '.join(SCALES)}")
+            raise BadInput(f"--scale-motion {scale_motion}: choose from {', '.join(SCALES)}")
         check_style(self.bundle, style, self.name)
         subject = self.subject(photo, view)
         speech = self.speech(audio)

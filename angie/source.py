@@ -127,7 +127,7 @@ def check_size(size: str | None, full_frame: bool) -> None:
         BadInput: an unknown size, or a size for the whole photo.
     """
     if size is not None and size not in SIZES:
-        raise BadInput(f"--size {size}: there are {', '.join(SIZES[:-1])} and {SIZES[-1]}")
+        raise BadInput(f"--size {size}: choose from {', '.join(SIZES)}")
     if size is not None and full_frame:
         raise BadInput("--size and --full-frame: give one; the whole photo keeps its own size")
 

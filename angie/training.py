@@ -288,7 +288,7 @@ def train(
     if generator is not None or not (Path(output) / "bundle.json").exists():
         known = [*SHARED, *(one.name for one in family(generator).stages), "all"]
         if stage not in known:
-            raise BadInput(f"--stage {stage}: there are {', '.join(known)}")
+            raise BadInput(f"--stage {stage}: choose from {', '.join(known)}")
     check_apart(output, [dataset])
     data = open_data(dataset, output)
     _check_data(data, speaker, stage)

@@ -186,7 +186,7 @@ class Dataset:
             version = int(self.manifest["format"])
         except OSError as error:
             raise BadInput(
-                f"{path}: is no dataset ({Path(str(error.filename)).name}: {error.strerror}); "
+                f"{path}: is not a dataset ({Path(str(error.filename)).name}: {error.strerror}); "
                 "make one with angie prepare"
             ) from error
         except (ValueError, KeyError, TypeError) as error:

@@ -51,7 +51,7 @@ def read_checkpoint(path: Path) -> dict[str, dict[str, Tensor]]:
     if not path.exists():
         raise BadInput(f"{path}: no such file")
     if not path.is_file():
-        raise BadInput(f"{path}: is no file; give the checkpoint, a .pth file")
+        raise BadInput(f"{path}: is not a file; give the checkpoint, a .pth file")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # torch tells of old formats
@@ -72,13 +72,13 @@ def read_checkpoint(path: Path) -> dict[str, dict[str, Tensor]]:
 def _tensors(part: str, state: Any) -> dict[str, Tensor]:
     """A state dict with plain names and whole, finite tensors."""
     if not isinstance(state, dict) or not all(isinstance(name, str) for name in state):
-        raise BadInput(f"{part}: is no table of tensors")
+        raise BadInput(f"{part}: is not a table of tensors")
     if state and all(name.startswith("module.") for name in state):  # saved from several GPUs
         state = {name.removeprefix("module."): tensor for name, tensor in state.items()}
     tensors = {}
     for name, tensor in state.items():
         if not isinstance(tensor, Tensor) or tensor.layout != torch.strided or tensor.is_meta:
-            raise BadInput(f"{part}: {name} is no plain tensor")
+            raise BadInput(f"{part}: {name} is not a plain tensor")
         if tensor.untyped_storage().nbytes() < tensor.numel() * tensor.element_size():
             raise BadInput(f"{part}: {name} claims more values than it has")
         if tensor.is_floating_point():

@@ -224,7 +224,7 @@ class _Shapes:
         size = self(name)[-1]
         steps, rest = divmod(size - 1, 4)  # sigma (n - 1) / 2 gives 4 (n - 1) + 1 taps
         if rest or not steps:
-            raise BadInput(f"{self.part}: {name} is no low-pass kernel of MRAA ({size} taps)")
+            raise BadInput(f"{self.part}: {name} is not a low-pass kernel of MRAA ({size} taps)")
         return 1 / (steps + 1)
 
 
@@ -244,7 +244,7 @@ def with_config(found: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str,
         other = given.get(key, value)
         if isinstance(value, Mapping):
             if not isinstance(other, Mapping):
-                raise BadInput(f"the configuration's {key} is no section")
+                raise BadInput(f"the configuration's {key} is not a section")
             result[key] = with_config(value, other)
         elif key in unseen:
             if type(other) is not type(value) and not (

@@ -100,7 +100,7 @@ def main() -> None:
     names = given.only.split(",")
     for name in names:
         if name not in VARIANTS:
-            raise BadInput(f"--only {name}: there are {', '.join(VARIANTS)}")
+            raise BadInput(f"--only {name}: choose from {', '.join(VARIANTS)}")
     dataset = Dataset(given.dataset)
     if not dataset.clips("test"):
         raise BadInput(f"{given.dataset}: has no test clips to compare on")

@@ -47,7 +47,7 @@ def animate(
         Path | None, typer.Argument(help="Any recording, or a video with sound.")
     ] = None,
     speaker: Annotated[
-        Path | None, typer.Option(help="Speaker bundle; without it the shipped one.")
+        Path | None, typer.Option(help="Speaker bundle; the shipped one by default.")
     ] = None,
     generator: Generator = None,
     seed: Seed = 0,
@@ -57,7 +57,7 @@ def animate(
     ] = None,
     person: Person = None,
     scale_motion: Annotated[
-        str, typer.Option(help="none, or hull: scale gestures to the person's size.")
+        str, typer.Option(help="hull scales gestures to the person's size; or none.")
     ] = "none",
     greedy: Greedy = False,
     style: Style = None,
@@ -66,7 +66,7 @@ def animate(
     full_frame: FullFrame = False,
     drive: Annotated[
         Path | None,
-        typer.Option(help="Take the motion from this video, and without AUDIO its sound."),
+        typer.Option(help="Take the motion from this video, and its sound if AUDIO is not given."),
     ] = None,
     mode: Annotated[
         str | None,
@@ -78,10 +78,10 @@ def animate(
         str | None, typer.Option(help="Square of the driving video: x,y,size in pixels.")
     ] = None,
     drive_person: Annotated[
-        str | None, typer.Option(help="Of several people in it: left, right or largest.")
+        str | None, typer.Option(help="Which of several people in it: left, right or largest.")
     ] = None,
     track_axes: Annotated[
-        bool, typer.Option("--track-axes", help="Follow the axes of regions; not in MRAA.")
+        bool, typer.Option("--track-axes", help="Follow the regions' axes over time; not in MRAA.")
     ] = False,
     force: Force = False,
 ) -> None:
@@ -95,7 +95,7 @@ def animate(
     if audio is not None:
         want_file(audio, "recording")
     if scale_motion not in ("none", "hull"):
-        raise BadInput(f"--scale-motion {scale_motion}: there are none and hull")
+        raise BadInput(f"--scale-motion {scale_motion}: choose none or hull")
     given = None if crop is None else square_of(crop)
     square = _found(photo, person) if given is None else lambda: given
     look: dict[str, Any] = {
@@ -167,7 +167,7 @@ def demo(
     precision: Precision = "auto",
     force: Force = False,
 ) -> None:
-    """Animate the photo and the recording that ship."""
+    """Animate the photo and the recording that ship with angie."""
     from angie.bundle import PHOTO, SPEECH
 
     animate(PHOTO, output, SPEECH, seed=seed, device=device, precision=precision, force=force)
@@ -178,7 +178,7 @@ def gestures(
     audio: Annotated[Path, typer.Argument(help="Any recording, or a video with sound.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The .npz or .npy to write.")],
     start: Annotated[
-        Path | None, typer.Option(help="Motion to begin with the first frame of.")
+        Path | None, typer.Option(help="Motion file whose first frame is the start pose.")
     ] = None,
     speaker: Annotated[
         str | None,
@@ -190,7 +190,7 @@ def gestures(
     ] = None,
     style: Style = None,
     generator: Generator = None,
-    fps: Annotated[float, typer.Option(min=1, max=1000, help="Frames a second of joints.")] = FPS,
+    fps: Annotated[float, typer.Option(min=1, max=1000, help="Frames per second of joints.")] = FPS,
     seed: Seed = 0,
     greedy: Greedy = False,
     force: Force = False,
@@ -227,7 +227,9 @@ def codebook(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="The .png to write, and an .mp4 beside it.")
     ],
-    codes: Annotated[int, typer.Option(min=1, max=24, help="Pairs of codes, the rows.")] = 6,
+    codes: Annotated[
+        int, typer.Option(min=1, max=24, help="Number of pairs of codes, one per row.")
+    ] = 6,
     person: Person = None,
     force: Force = False,
 ) -> None:
@@ -243,13 +245,15 @@ def codebook(
 
 def ablate(
     dataset: Annotated[Path, typer.Argument(help="Folder that angie prepare made.")],
-    bundle: Annotated[Path, typer.Argument(help="Bundle whose renderer and settings all share.")],
+    bundle: Annotated[
+        Path, typer.Argument(help="Bundle whose renderer and settings all variants share.")
+    ],
     settings: Settings = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder of bundles, report and table.")
     ] = None,
     variants: Annotated[
-        str | None, typer.Option(help="Some of the rows, with commas; without it all.")
+        str | None, typer.Option(help="Some of the variants, separated by commas; all by default.")
     ] = None,
     seeds: Seeds = 1,
     no_images: NoImages = False,
@@ -260,11 +264,11 @@ def ablate(
     seed: Seed = 0,
     device: Device = "auto",
 ) -> None:
-    """Train and score the variants of the paper's Table 3; a killed run goes on when repeated."""
+    """Train and score the variants of the paper's Table 3; repeat it to continue a killed run."""
     if output is None:
         raise BadInput("--output: name the folder of the ablations, -o DIR")
     if fgd is not None:
-        want_file(fgd, "auto-encoder of a report")
+        want_file(fgd, "autoencoder of a report")
     from angie.config import parse_overrides
     from angie.evaluation.ablation import ablate as run
     from angie.evaluation.networks import EvaluationConfig

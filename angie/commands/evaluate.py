@@ -41,13 +41,15 @@ def evaluate(
     ] = None,
     bundle: Annotated[
         Path | None,
-        typer.Option(help="With --videos: whose regions count; without it the shipped one."),
+        typer.Option(
+            help="With --videos: bundle that measures regions; the shipped one by default."
+        ),
     ] = None,
     seeds: Seeds = 1,
     seed: Seed = 0,
     generator: Annotated[
         str | None,
-        typer.Option(help="Score this generator of each bundle; without it all that it has."),
+        typer.Option(help="Score this generator of each bundle; by default all of them."),
     ] = None,
     start: Annotated[
         str,
@@ -57,12 +59,12 @@ def evaluate(
     image_stride: ImageStride = 25,
     image_seconds: ImageSeconds = 0.0,
     videos_shown: Annotated[
-        int, typer.Option(min=0, help="Clips of which side-by-side videos are made.")
+        int, typer.Option(min=0, help="Number of clips to make side-by-side videos of.")
     ] = 2,
     fgd: Fgd = None,
     fgd_steps: FgdSteps = 3000,
     truth: Annotated[
-        Path | None, typer.Option(help="Folder of angie phantom, for its true joints.")
+        Path | None, typer.Option(help="Folder that angie phantom made, for its true joints.")
     ] = None,
     detected: Annotated[
         Path | None,
@@ -88,8 +90,8 @@ def evaluate(
     if output is None:
         raise BadInput("--output: name the folder of the report, -o REPORT")
     if start not in ("truth", "pose"):
-        raise BadInput(f"--start {start}: there are truth and pose")
-    for path, what in ((fgd, "auto-encoder of a report"), (perceptual_weights, "weights")):
+        raise BadInput(f"--start {start}: choose truth or pose")
+    for path, what in ((fgd, "autoencoder of a report"), (perceptual_weights, "weights")):
         if path is not None:
             want_file(path, what)
     from angie.evaluation.networks import EvaluationConfig

@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from data_prep.speaker.crop import Crop
 
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing output.")]
-Seed = Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Everything random follows from it.")]
+Seed = Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of everything random.")]
 Device = Annotated[str, typer.Option(help="auto, cpu, cuda or mps.")]
 Precision = Annotated[
     str,
-    typer.Option(help="Of the networks: auto (the fastest there is), fp32, bf16, fp16."),
+    typer.Option(help="Of the networks: auto (the fastest available), fp32, bf16 or fp16."),
 ]
 Style = Annotated[
     str | None,
@@ -37,7 +37,7 @@ Size = Annotated[
     ),
 ]
 FullFrame = Annotated[
-    bool, typer.Option("--full-frame", help="Show the whole photo, not the square alone.")
+    bool, typer.Option("--full-frame", help="Show the whole photo, not only the square.")
 ]
 Greedy = Annotated[
     bool,
@@ -47,24 +47,26 @@ Greedy = Annotated[
         "whatever the bundle's settings say.",
     ),
 ]
-Person = Annotated[str | None, typer.Option(help="Of several people: left, right or largest.")]
-Settings = Annotated[list[str] | None, typer.Argument(help="key=value, or YAML files with such.")]
-Seeds = Annotated[int, typer.Option(min=1, max=100, help="Runs of what is random.")]
+Person = Annotated[
+    str | None, typer.Option(help="Which of several people: left, right or largest.")
+]
+Settings = Annotated[
+    list[str] | None, typer.Argument(help="key=value, or YAML files with settings.")
+]
+Seeds = Annotated[int, typer.Option(min=1, max=100, help="Number of random seeds.")]
 NoImages = Annotated[bool, typer.Option("--no-images", help="Render nothing: motion scores only.")]
 ImageStride = Annotated[
-    int, typer.Option(min=2, help="Every so many frames two are rendered for image scores.")
+    int, typer.Option(min=2, help="Render two frames every so many frames for image scores.")
 ]
 ImageSeconds = Annotated[
     float,
-    typer.Option(
-        min=0, help="Score pictures of the first so many seconds of each clip; 0: of all."
-    ),
+    typer.Option(min=0, help="Score only pictures of the first seconds of each clip; 0 for all."),
 ]
 Fgd = Annotated[
-    Path | None, typer.Option(help="Auto-encoder of an earlier report, to compare with it.")
+    Path | None, typer.Option(help="Autoencoder of an earlier report, to compare with it.")
 ]
-FgdSteps = Annotated[int, typer.Option(min=1, help="Most training steps of FGD's auto-encoder.")]
-Jobs = Annotated[int, typer.Option(min=0, help="Processes; 0 for one a core.")]
+FgdSteps = Annotated[int, typer.Option(min=1, help="Maximum training steps of FGD's autoencoder.")]
+Jobs = Annotated[int, typer.Option(min=0, help="Number of processes; 0 for one per core.")]
 
 
 def want_file(path: Path, what: str) -> None:
@@ -94,7 +96,7 @@ def square_of(text: str, option: str = "--crop") -> "Crop":
     if len(height) > 1 or size < 1:
         raise BadInput(f"{option} {text}: give x,y,size in whole pixels, the size above 0")
     if height not in ([], [size]):
-        raise BadInput(f"{option} {text}: is no square; width and height must be equal")
+        raise BadInput(f"{option} {text}: is not a square; width and height must be equal")
     return Crop(x, y, size)
 
 

@@ -24,7 +24,7 @@ def phantom(
     jobs: Jobs = 0,
     force: Force = False,
 ) -> None:
-    """Write videos of the phantom speaker, and their truth."""
+    """Write videos of the phantom speaker, with their ground truth."""
     from data_prep.files import whole_folder
     from data_prep.phantom.make import make_phantom
 
@@ -50,19 +50,21 @@ def prepare(
     ] = None,
     speaker: Annotated[
         str | None,
-        typer.Option(help="Name of the speaker; without it the folder's. With --pats: whose."),
+        typer.Option(
+            help="Name of the speaker; by default the folder's. With --pats: only this one."
+        ),
     ] = None,
     crop: Annotated[
         str | None, typer.Option(help="Square of the picture: x,y,size or x,y,w,h in pixels.")
     ] = None,
     person: Annotated[
-        str | None, typer.Option(help="left, right or largest, where several people are seen.")
+        str | None, typer.Option(help="Which of several people: left, right or largest.")
     ] = None,
     stabilize: Annotated[
         bool, typer.Option("--stabilize", help="Hold the picture still where the camera moves.")
     ] = False,
     silent_ok: Annotated[
-        bool, typer.Option("--silent-ok", help="Keep videos without sound (renderer alone).")
+        bool, typer.Option("--silent-ok", help="Keep videos without sound (for the renderer only).")
     ] = False,
     shortest: Annotated[float, typer.Option(min=3.9, help="Seconds of the shortest clip.")] = 4.0,
     longest: Annotated[float, typer.Option(help="Seconds of the longest clip.")] = 14.0,
@@ -74,7 +76,7 @@ def prepare(
     ] = None,
     jobs: Jobs = 0,
     add: Annotated[
-        bool, typer.Option("--add", help="Put other videos into the dataset that is there.")
+        bool, typer.Option("--add", help="Add other videos to the existing dataset.")
     ] = False,
     force: Force = False,
 ) -> None:
@@ -87,9 +89,9 @@ def prepare(
 
     places = [*(videos or []), *(folder or [])]
     if not places:
-        raise BadInput("no video is named; give videos or folders of videos")
+        raise BadInput("no video given; name videos or folders of videos")
     if person not in (None, "left", "right", "largest"):
-        raise BadInput(f"--person {person}: there are left, right and largest")
+        raise BadInput(f"--person {person}: choose left, right or largest")
     if not 2 * shortest <= longest <= 60:
         raise BadInput(f"--longest {longest:g}: must be twice --shortest {shortest:g}, at most 60")
     if add and force:

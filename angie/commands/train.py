@@ -28,9 +28,11 @@ def train(
         ),
     ] = "all",
     speaker: Annotated[
-        str | None, typer.Option(help="Learn the motion of one speaker of the dataset alone.")
+        str | None, typer.Option(help="Learn only the motion of this speaker of the dataset.")
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on after an interruption.")] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue an interrupted training.")
+    ] = False,
     seed: Seed = 0,
     device: Device = "auto",
     devices: Annotated[int, typer.Option(min=1, help="GPUs, or processes on the CPU.")] = 1,
@@ -53,7 +55,7 @@ def train(
     known = (output / "bundle.json").exists() and (resume or not force)
     chosen = find(preset or "lite", generator) if preset or not known else None
     if precision not in ("auto", "32-true", "bf16-mixed", "16-mixed"):
-        raise BadInput(f"--precision {precision}: there are auto, 32-true, bf16-mixed, 16-mixed")
+        raise BadInput(f"--precision {precision}: choose from auto, 32-true, bf16-mixed, 16-mixed")
     if device != "auto":
         device_of(device)
     how = RunConfig(device=device, devices=devices, precision=precision, workers=workers)
@@ -78,7 +80,7 @@ def import_mraa(
     checkpoint: Annotated[Path, typer.Argument(help="A released .pth of MRAA.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the bundle.")],
     config: Annotated[
-        Path | None, typer.Option(help="MRAA's YAML of it, for what the weights cannot tell.")
+        Path | None, typer.Option(help="Its MRAA YAML file, for what the weights do not show.")
     ] = None,
     preset: Annotated[
         str, typer.Option(help="Sizes of the stages still to be trained: paper, lite or tiny.")
@@ -96,10 +98,10 @@ def import_mraa(
 
 def info(
     bundle: Annotated[
-        Path | None, typer.Argument(help="Speaker bundle; without it the shipped one.")
+        Path | None, typer.Argument(help="Speaker bundle; the shipped one by default.")
     ] = None,
 ) -> None:
-    """Tell what a speaker bundle holds and what it was trained on."""
+    """Show what a speaker bundle contains and what it was trained on."""
     from angie.bundle import BUNDLE, Bundle
     from angie.parts import describe
 

@@ -96,7 +96,7 @@ def ablate(
     variants = list(known) if variants is None else list(dict.fromkeys(variants))
     unknown = [name for name in variants if name not in known]
     if unknown or not variants:
-        raise BadInput(f"--variants {','.join(unknown)}: there are {', '.join(known) or 'none'}")
+        raise BadInput(f"--variants {','.join(unknown)}: choose from {', '.join(known) or 'none'}")
     if source.preset.points:
         raise BadInput(f"{bundle}: the ablations are of regions")
     source.path_of("renderer")

@@ -102,7 +102,7 @@ def _grouped(folders: Sequence[Path]) -> list[dict[str, Bundle]]:
         BadInput: no bundle, a bundle named twice, or one of joints or without a renderer.
     """
     if not folders:
-        raise BadInput("no bundle is named; give one or more speaker bundles")
+        raise BadInput("no bundle given; name one or more speaker bundles")
     if len({Path(f).resolve() for f in folders}) < len(folders):
         raise BadInput("a bundle is named twice; name each once")
     groups: dict[str, dict[str, Bundle]] = {}

@@ -145,7 +145,7 @@ def evaluate_videos(
     check_apart(output, [folder, reference, bundle_folder])
     data, bundle = Dataset(reference), Bundle.open(bundle_folder)
     if not Path(folder).is_dir():
-        raise BadInput(f"{folder}: is no folder; give one with videos")
+        raise BadInput(f"{folder}: is not a folder; give one with videos")
     paths = videos_in(Path(folder))
     if not paths:
         raise BadInput(f"{folder}: holds no videos")

@@ -91,7 +91,7 @@ def _told_apart(places: Sequence[Path]) -> tuple[dict[str, Bundle], dict[str, Pa
         elif place.is_dir():
             arrays[name] = place
         else:
-            raise BadInput(f"{place}: is no folder; give models of joints, or folders of arrays")
+            raise BadInput(f"{place}: is not a folder; give models of joints, or folders of arrays")
     return models, arrays
 
 

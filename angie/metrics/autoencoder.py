@@ -274,7 +274,7 @@ def load_autoencoder(path: Path) -> StoredAutoencoder:
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
         what = " ".join(str(error).split())
         raise BadInput(
-            f"{path}: is no auto-encoder of FGD ({what}); give one of a report"
+            f"{path}: is not an autoencoder of FGD ({what}); give one of a report"
         ) from error
     model.eval().requires_grad_(False)
     return StoredAutoencoder(model, MotionScale(speakers, rest, scale), estimator, fps, training)

@@ -108,7 +108,7 @@ def read_pair(path: Path, name: str) -> tuple[NDArray, NDArray] | None:
         with np.load(path, allow_pickle=False) as file:
             found = [file[key] for key in names if key in file.files]
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise BadInput(f"{path}: is no .npz file that can be read ({error})") from error
+        raise BadInput(f"{path}: is not a readable .npz file ({error})") from error
     if not found:
         return None
     if len(found) == 1:

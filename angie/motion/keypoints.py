@@ -130,14 +130,14 @@ def read_rate(path: Path) -> float | None:
     """Frames a second that an .npz file states as `fps`, as `angie gestures` writes it; or None.
 
     Raises:
-        BadInput: it is no rate from 1 to 1000.
+        BadInput: it is not a rate from 1 to 1000.
     """
     stated = _arrays(path).get("fps")
     if stated is None:
         return None
     fps = float(stated) if stated.size == 1 and stated.dtype.kind in "fiu" else 0.0
     if not 1 <= fps <= 1000:
-        raise BadInput(f"{path}: fps {stated} is no rate from 1 to 1000")
+        raise BadInput(f"{path}: fps {stated} is not a rate from 1 to 1000")
     return fps
 
 
@@ -181,7 +181,7 @@ class KeypointDataset:
             wanted = f"a name, a speaker and {', '.join(SPLITS[:-1])} or {SPLITS[-1]}"
             raise BadInput(f"{index}: {name or 'a row'}: needs {wanted}")
         if not 1 <= fps <= 1000:
-            raise BadInput(f"{index}: {name}: fps {row['fps']} is no rate from 1 to 1000")
+            raise BadInput(f"{index}: {name}: fps {row['fps']} is not a rate from 1 to 1000")
         points = read_points(self._motion_file(name))
         self._joints[name] = points.shape[1]
         frames = len(resample(points[:, :1], fps, FPS))

@@ -18,7 +18,7 @@ _LENIENT: dict[str, Any] = (
 """Metadata that is not UTF-8 is no reason to refuse a file; PyAV 19 never does."""
 
 MAX_JUMP_AHEAD, MAX_JUMP_BACK = 3600.0, 1.0
-"""Seconds by which time stamps may jump; beyond that, files were joined without correcting them."""
+"""Seconds by which timestamps may jump; beyond that, files were joined without correcting them."""
 
 
 def check_file(path: Path) -> None:
@@ -44,15 +44,15 @@ def check_file(path: Path) -> None:
 
 
 def check_jump(path: Path, before: float, after: float) -> None:
-    """Refuse time stamps, in seconds, that leap as where files were joined end to end.
+    """Refuse timestamps, in seconds, that leap as where files were joined end to end.
 
     Raises:
         BadInput: further ahead, or back, than any pause or wrong order explains.
     """
     if after - before > MAX_JUMP_AHEAD or before - after > MAX_JUMP_BACK:
         raise BadInput(
-            f"{path}: its time stamps jump (from {before:.1f} to {after:.1f} s); "
-            f"mend them with: ffmpeg -i {shlex.quote(path.name)} -c copy mended.mkv"
+            f"{path}: its timestamps jump (from {before:.1f} to {after:.1f} s); "
+            f"repair them with: ffmpeg -i {shlex.quote(path.name)} -c copy mended.mkv"
         )
 
 

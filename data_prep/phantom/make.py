@@ -67,7 +67,7 @@ def voice_named(name: str) -> str:
         BadInput: another name, or eSpeak NG is asked for and not installed.
     """
     if name not in VOICES:
-        raise BadInput(f"--voice {name}: there are {', '.join(VOICES)}")
+        raise BadInput(f"--voice {name}: choose from {', '.join(VOICES)}")
     if name == "espeak" and not espeak.installed():
         raise BadInput("--voice espeak: not found; install the package espeak-ng or use builtin")
     if name == "auto":

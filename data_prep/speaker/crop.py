@@ -47,7 +47,7 @@ def choose_person(faces: Sequence[Face], person: str) -> int:
         BadInput: no such way to choose.
     """
     if person not in PEOPLE:
-        raise BadInput(f"--person {person}: there are {', '.join(PEOPLE)}")
+        raise BadInput(f"--person {person}: choose from {', '.join(PEOPLE)}")
     numbers = range(len(faces))
     if person == "largest":
         return max(numbers, key=lambda i: faces[i].h)

@@ -106,11 +106,11 @@ def test_training_refuses_to_overwrite(dataset, copy, tmp_path):
 
 
 def test_training_tells_wrong_arguments(dataset, copy, tmp_path):
-    with pytest.raises(BadInput, match="--stage everything: there are renderer, motion, avd, vq"):
+    with pytest.raises(BadInput, match="--stage everything: choose from renderer, motion, avd, vq"):
         train(dataset.path, tmp_path / "new", stage="everything")
     with pytest.raises(BadInput, match="--generator none: there is no such generator"):
         train(dataset.path, tmp_path / "new", generator="none")
-    with pytest.raises(BadInput, match="no dataset"):
+    with pytest.raises(BadInput, match="not a dataset"):
         train(tmp_path, tmp_path / "new")
     with pytest.raises(BadInput, match="made with --preset tiny"):
         train(dataset.path, copy, preset=preset("lite"), resume=True)

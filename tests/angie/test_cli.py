@@ -125,7 +125,7 @@ def test_prepare_and_train_tell_bad_input(tmp_path, capsys):
     status, _, err = call(capsys, "prepare", tmp_path / "none.mp4", "-o", tmp_path / "data")
     assert status == 2 and "none.mp4" in err
     status, _, err = call(capsys, "train", tmp_path, "-o", tmp_path / "bundle")
-    assert status == 2 and "no dataset" in err
+    assert status == 2 and "not a dataset" in err
     assert list(tmp_path.iterdir()) == []
 
 

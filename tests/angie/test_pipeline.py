@@ -139,7 +139,7 @@ def test_samples_become_mono_at_16_khz():
 def test_what_cannot_be_is_told_before_anything_is_made(photo, speech, bundle, tmp_path):
     pipe = GesturePipeline(bundle)
     for options, words in (
-        ({"scale_motion": "arms"}, "--scale-motion arms: there are none and hull"),
+        ({"scale_motion": "arms"}, "--scale-motion arms: choose none or hull"),
         ({"style": "adam"}, "one style only; models trained with gpt.joint=true"),
     ):
         with pytest.raises(BadInput, match=words):

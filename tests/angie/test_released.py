@@ -199,7 +199,7 @@ def bad(other, tmp_path_factory):
         ("hostile.pth", "not a readable checkpoint"),
         ("list.pth", "it is a list"),
         ("fomm.pth", "has no region_predictor"),
-        ("number.pth", "generator: is no table"),
+        ("number.pth", "generator: is not a table"),
         ("lacking.pth", "up_blocks.1.conv.bias"),
         ("shape.pth", "first.conv.weight"),
         ("nan.pth", "not finite"),

@@ -132,7 +132,7 @@ def test_missing_or_damaged_parts_are_told(folder: Path, tmp_path: Path) -> None
     (folder / "frames" / "a_000.safetensors").write_bytes(b"no frames at all")
     with pytest.raises(BadInput, match=r"a_000\.safetensors.*prepare"):
         data.frames(other)
-    with pytest.raises(BadInput, match=r"is no dataset \(dataset\.json"):
+    with pytest.raises(BadInput, match=r"is not a dataset \(dataset\.json"):
         Dataset(tmp_path / "frames")
     (folder / "dataset.json").write_text('{"format": 99}')
     with pytest.raises(BadInput, match="newer"):

@@ -148,7 +148,7 @@ def test_bad_strides_and_auto_encoders_are_told_before_anything_is_trained(
     for source, options, words in (
         (bundle.folder, ["--image-stride", 1], "--image-stride"),
         (bundle.folder, ["--fgd", tmp_path / "none"], "no such file"),
-        (bundle.folder, ["--fgd", text], "text: is no auto-encoder"),
+        (bundle.folder, ["--fgd", text], "text: is not an autoencoder"),
         (BUNDLE, ["--fgd", stored], "regions of another renderer"),
     ):
         status, out, err = command(
@@ -178,7 +178,7 @@ def test_bad_requests(dataset, bundle, tmp_path):
     with pytest.raises(BadInput, match="renderer"):
         run(dataset, bare, tmp_path / "out", ["full"])
     shutil.rmtree(bare.folder)
-    with pytest.raises(BadInput, match="there are no_quant"):
+    with pytest.raises(BadInput, match="choose from no_quant"):
         run(dataset, bundle, tmp_path / "out", ["half"])
     torn = tmp_path / "torn"
     torn.mkdir()

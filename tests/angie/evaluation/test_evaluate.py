@@ -184,7 +184,7 @@ def test_bad_folders_of_videos_are_refused(folder, dataset, bundle, tmp_path):
     wide.mkdir()
     with VideoWriter(wide / "wide.mp4", (128, 64)) as video:
         video.write(np.zeros((64, 128, 3), np.uint8))
-    for place, words in [("empty", "no videos"), ("none", "no folder"), ("wide", "128x64")]:
+    for place, words in [("empty", "no videos"), ("none", "not a folder"), ("wide", "128x64")]:
         with pytest.raises(BadInput, match=words):
             evaluate_videos(
                 tmp_path / place,

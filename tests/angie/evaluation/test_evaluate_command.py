@@ -29,7 +29,7 @@ def call(capsys, *arguments):
         (["{data}", "-o", "{tmp}/out"], "DATASET BUNDLE"),
         (["-o", "{tmp}/out"], "DATASET BUNDLE"),
         (["{data}", "{bundle}", "{bundle}", "-o", "{tmp}/out"], "named twice"),
-        (["{tmp}", "{bundle}", "-o", "{tmp}/out"], "is no dataset"),
+        (["{tmp}", "{bundle}", "-o", "{tmp}/out"], "is not a dataset"),
         (["{data}", "{data}", "-o", "{tmp}/out"], "not a speaker bundle"),
         (["{data}", "{bundle}", "-o", "{tmp}/taken"], "exists already"),
         (["{data}", "{bundle}", "-o", "{tmp}/taken", "--force"], "holds other things"),
@@ -41,7 +41,7 @@ def call(capsys, *arguments):
         (["{data}", "{bundle}", "-o", "{tmp}/out", "--reference", "{data}"], "--videos"),
         (["--videos", "{tmp}", "-o", "{tmp}/out"], "--reference"),
         (["{data}", "--videos", "{tmp}", "-o", "{tmp}/out"], "takes no DATASET"),
-        (["--videos", "{tmp}/none", "--reference", "{data}", "-o", "{tmp}/out"], "no folder"),
+        (["--videos", "{tmp}/none", "--reference", "{data}", "-o", "{tmp}/out"], "not a folder"),
     ],
 )
 def test_bad_input_is_one_line(dataset, bundle, tmp_path, capsys, arguments, words):

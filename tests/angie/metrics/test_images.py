@@ -52,7 +52,7 @@ def test_arrays_of_another_network(tmp_path):
         ({"real_points": np.ones((3, 4, 2)), "made_points": np.ones((3, 5, 2))}, "shapes"),
         ({"real_points": np.ones((3, 4)), "made_points": np.ones((3, 4))}, "shapes"),
         ({"real_points": np.ones((3, 4, 2), int), "made_points": np.ones((3, 4, 2))}, "floating"),
-        (None, "no .npz file"),
+        (None, "not a readable .npz file"),
     ],
 )
 def test_arrays_that_cannot_be_used_are_refused(tmp_path, arrays, words):

@@ -216,7 +216,7 @@ def test_what_cannot_be_scored_on_joints_is_told(model, data, tmp_path, capsys):
     folder.mkdir()
     for place, words in (
         (folder, "no array named like a test clip"),
-        (tmp_path / "nowhere", "is no folder"),
+        (tmp_path / "nowhere", "is not a folder"),
         (BUNDLE, "is a model of regions"),
     ):
         status, _, error = call(capsys, "evaluate", data, place, "-o", tmp_path / "report")
@@ -227,7 +227,7 @@ def test_what_cannot_be_scored_on_joints_is_told(model, data, tmp_path, capsys):
     (folder / "c10.npy").unlink()
     good = np.zeros((90, JOINTS, 2))
     for arrays, words in (
-        ({"points": good, "fps": 0.0}, "no rate from 1 to 1000"),
+        ({"points": good, "fps": 0.0}, "not a rate from 1 to 1000"),
         ({"points": good, "fps": np.array([None])}, "no array file"),
         ({"joints": good}, "no array `points`"),
     ):
@@ -262,7 +262,7 @@ def test_going_on_and_other_stages(model, data, tmp_path, capsys):
     "row, words",
     [
         ("c1,ada,train", "fps"),
-        ("c1,ada,train,fast", "no rate"),
+        ("c1,ada,train,fast", "not a rate"),
         ("c1,ada,valid,15", "train, val or test"),
         ("c1,,train,15", "speaker"),
         ("../c1,ada,train,15", "a name"),

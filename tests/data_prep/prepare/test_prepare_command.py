@@ -21,13 +21,13 @@ def fail(*arguments: str) -> str:
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ([], "no video is named"),
+        ([], "no video given"),
         (["a.mp4"], "a.mp4: no such file"),
-        (["a.mp4", "--crop", "1,2,300,301"], "is no square"),
+        (["a.mp4", "--crop", "1,2,300,301"], "is not a square"),
         (["a.mp4", "--crop", "1,2"], "give x,y,size"),
         (["a.mp4", "--crop", "1,2,0"], "above 0"),
         (["a.mp4", "--crop", "1,2,3,4,5"], "give x,y,size"),
-        (["a.mp4", "--person", "middle"], "left, right and largest"),
+        (["a.mp4", "--person", "middle"], "left, right or largest"),
         (["a.mp4", "--shortest", "9"], "twice --shortest"),
         (["a.mp4", "--longest", "nan"], "twice --shortest"),
         (["a.mp4", "--add", "--force"], "give one"),
