@@ -231,6 +231,7 @@ class GesturePipeline:
         scale_motion: str = "none",
         controls: Any = None,
         view: View | None = None,
+        speech: Speech | None = None,
     ) -> GestureVideo:
         """Make the person of a photo gesture to a recording.
 
@@ -247,6 +248,7 @@ class GesturePipeline:
                 regions) against the training speakers', or that of `style`; "none" does not.
             controls: a dataclass of the generator's own.
             view: which part of the photo moves, and what is shown of it.
+            speech: the recording with features that are known already; others are computed.
 
         Raises:
             BadInput: an input that cannot be used.
@@ -256,7 +258,8 @@ class GesturePipeline:
             raise BadInput(f"--scale-motion {scale_motion}: choose from {', '.join(SCALES)}")
         check_style(self.bundle, style, self.name)
         subject = self.subject(photo, view)
-        speech = self.speech(audio)
+        if speech is None or not all(name in speech for name in self.generator.features):
+            speech = self.speech(audio)
         pose = source_pose(self.renderer, subject.picture)
         motion = self.generator.generate(
             speech, pose, speech.frames, seed=seed, style=style, controls=controls, greedy=greedy

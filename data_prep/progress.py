@@ -109,6 +109,27 @@ def spread(
             left = left[jobs + 1 :]
 
 
+def begin(work: Callable[[Task], Result], task: Task) -> Callable[[], Result]:
+    """Begin `work(task)` in a process of its own; the function returned waits for its result.
+
+    Args:
+        work: a function at the top level of a module; what it raises is raised by the wait.
+        task: what to call it with. Should the process die, it is called here.
+    """
+    pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_begin)
+    with _held_back_interrupts():
+        future = pool.submit(work, task)
+    pool.shutdown(wait=False)
+
+    def wait() -> Result:
+        try:
+            return future.result()
+        except BrokenProcessPool:
+            return work(task)
+
+    return wait
+
+
 def _run(
     work: Callable[[Task], Result], tasks: Sequence[Task], indices: Sequence[int], jobs: int
 ) -> Iterator[tuple[int, tuple[Result] | None]]:

@@ -33,11 +33,12 @@ from angie.commands.options import (
     want_file,
 )
 from data_prep.errors import BadInput
-from data_prep.progress import console
+from data_prep.progress import begin, console
+from data_prep.rates import FPS
 
 if TYPE_CHECKING:
     from data_prep.speaker.crop import Crop
-from data_prep.rates import FPS
+    from data_prep.speech.features import Speech
 
 
 def animate(
@@ -97,6 +98,7 @@ def animate(
     if scale_motion not in ("none", "hull"):
         raise BadInput(f"--scale-motion {scale_motion}: choose none or hull")
     given = None if crop is None else square_of(crop)
+    heard = None if audio is None or drive is not None else begin(_heard, audio)
     square = _found(photo, person) if given is None else lambda: given
     look: dict[str, Any] = {
         "person": person, "size": size, "full_frame": full_frame, "track_axes": track_axes,
@@ -139,6 +141,7 @@ def animate(
             greedy=greedy,
             scale_motion=scale_motion,
             view=view,
+            speech=heard() if heard else None,
         )
     result.save(output, force=force)
     if result.note:
@@ -146,6 +149,22 @@ def animate(
     width, height = result.width_height
     sound = f"{result.seconds:.2f} s of sound" if result.seconds else "no sound"
     print(f"{output}: {result.frames} frames of {width}x{height}, {sound}")
+
+
+def _heard(audio: Path) -> "Speech":
+    """The features of a recording that the default generator reads.
+
+    In a process of its own: Librosa is imported beside the networks' libraries, not after them.
+    """
+    from angie.generators import DEFAULT_FEATURES
+    from data_prep.media.audio import read_sound
+    from data_prep.speech.features import Speech
+
+    speech = Speech(read_sound(audio))
+    for name in DEFAULT_FEATURES:
+        speech[name]
+    speech.forget_samples()
+    return speech
 
 
 def _found(photo: Path, person: str | None) -> Callable[[], "Crop | None"]:

@@ -21,6 +21,9 @@ GROUP = "angie.generators"
 DEFAULT = "angie"
 """The family that is meant where none is named."""
 
+DEFAULT_FEATURES = ("onset", "mfcc")
+"""What it reads of speech, known before its libraries are imported."""
+
 
 def _angie() -> "Family":
     from angie.generators.angie.family import FAMILY
