@@ -100,11 +100,7 @@ def _tiny() -> Preset:
             affine_mode="sym",
         ),
         train_renderer=RendererTraining(
-            steps=300,
-            batch=4,
-            rate=1e-3,
-            perceptual_width=8,
-            perceptual_scales=(0.5, 0.25, 0.125),
+            steps=300, batch=4, rate=1e-3, perceptual_width=8, perceptual_scales=(0.5, 0.25, 0.125)
         ),
         train_avd=AvdTraining(
             schedule=Schedule(rate=1e-3, batch=64, epochs=30, milestones=(20, 25), most_steps=300)

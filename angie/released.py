@@ -30,12 +30,7 @@ TERMS = (
 
 
 def import_released(
-    checkpoint: Path,
-    output: Path,
-    config: Path | None,
-    preset: Preset,
-    *,
-    force: bool = False,
+    checkpoint: Path, output: Path, config: Path | None, preset: Preset, *, force: bool = False
 ) -> Bundle:
     """Write a speaker bundle whose renderer is a released checkpoint of MRAA.
 

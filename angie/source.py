@@ -15,13 +15,7 @@ from PIL import Image
 from data_prep.errors import BadInput
 from data_prep.media.photo import photo_pixels, read_photo
 from data_prep.rates import IMAGE_SIZE
-from data_prep.speaker.crop import (
-    Crop,
-    check_crop,
-    choose_person,
-    find_people,
-    speaker_crop,
-)
+from data_prep.speaker.crop import Crop, check_crop, choose_person, find_people, speaker_crop
 
 if TYPE_CHECKING:
     from mraa.fast.fullsize import FullSize

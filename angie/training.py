@@ -132,11 +132,7 @@ class Trainer:
         assert isinstance(self.dataset, Dataset)  # joints are given
         estimator = self.bundle.renderer().estimator.to(self.fabric.device)
         extract_dataset(
-            self.dataset,
-            estimator,
-            self.motion_folder,
-            self.motion_identity,
-            jobs=self.run.workers,
+            self.dataset, estimator, self.motion_folder, self.motion_identity, jobs=self.run.workers
         )
 
     def generator(self, family: Family, stage: Stage) -> None:

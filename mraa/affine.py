@@ -161,12 +161,7 @@ def cholesky(covariance: Tensor) -> Tensor:
     return torch.stack([l1, torch.zeros_like(l1), l2, l3], dim=-1).unflatten(-1, (2, 2))
 
 
-ROOTS = {
-    "svd": _eigen_root,
-    "lapack": _lapack_root,
-    "sym": _symmetric_root,
-    "chol": cholesky,
-}
+ROOTS = {"svd": _eigen_root, "lapack": _lapack_root, "sym": _symmetric_root, "chol": cholesky}
 """Ways to take the root of a covariance."""
 
 WITH_AXES = ("svd", "lapack")

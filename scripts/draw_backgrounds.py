@@ -14,16 +14,7 @@ import numpy as np
 
 SIDE = 320
 
-PHOTOS = (
-    "coffee",
-    "rocket",
-    "chelsea",
-    "grass",
-    "gravel",
-    "brick",
-    "coins",
-    "moon",
-)
+PHOTOS = ("coffee", "rocket", "chelsea", "grass", "gravel", "brick", "coins", "moon")
 """Sample photos in the wheel itself."""
 
 

@@ -27,16 +27,7 @@ from data_prep.files import check_apart, check_output, whole_file
 from data_prep.progress import console
 from mraa.training.run import RunConfig
 
-COLUMNS = (
-    "fgd",
-    "bc",
-    "diversity_ha2g",
-    "l1",
-    "perceptual",
-    "aed",
-    "l1_drawn",
-    "perceptual_drawn",
-)
+COLUMNS = ("fgd", "bc", "diversity_ha2g", "l1", "perceptual", "aed", "l1_drawn", "perceptual_drawn")
 """Columns of the paper's Table 3, and L1 and perceptual distance without the renderer's part."""
 
 MARK = "ablation.json"

@@ -265,10 +265,7 @@ def open_session(renderer: Renderer, source: NDArray, pose: Motion) -> RenderSes
 
 
 def rendered(
-    renderer: Renderer,
-    source: NDArray,
-    pose: Motion,
-    motion: Motion,
+    renderer: Renderer, source: NDArray, pose: Motion, motion: Motion
 ) -> Iterator[NDArray]:
     """Frames (b, H, W, 3) uint8 of a motion, a few at a time, as `angie animate` draws them.
 

@@ -70,10 +70,7 @@ def padded(frames: Iterator[NDArray], count: int) -> Iterator[NDArray]:
 
 
 def write_video(
-    path: Path,
-    dataset: Dataset,
-    clip: Clip,
-    columns: dict[str, Iterator[NDArray]],
+    path: Path, dataset: Dataset, clip: Clip, columns: dict[str, Iterator[NDArray]]
 ) -> None:
     """Write one side-by-side video with the clip's sound: recorded frames, then `columns`.
 

@@ -1,8 +1,11 @@
 """The presenters: who they are (looks, voice, style) and what changes from video to video."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 
 from data_prep.phantom.paint import CLOTHS
 
@@ -93,41 +96,21 @@ class Setting:
 PLACES = ("wall", "shelf", "curtain", "studio", "bokeh", "brick", "window", "mural")
 """Kinds of background."""
 
-_LOOKS = (
-    Look((0.87, 0.67, 0.55), (0.23, 0.15, 0.10), "short", (0.30, 0.38, 0.42), (0.70, 0.42, 0.38),
-         1.0, 1.05, 1.0, 1.0, 0.35, False, 80, 1.0, ("blazer", "shirt", "sweater")),
-    Look((0.93, 0.76, 0.66), (0.48, 0.28, 0.14), "long", (0.35, 0.30, 0.20), (0.78, 0.38, 0.38),
-         0.95, 0.90, 0.9, 0.8, 0.0, False, 70, 0.88, ("blouse", "sweater", "blazer", "tee")),
-    Look((0.47, 0.31, 0.22), (0.07, 0.06, 0.06), "crop", (0.16, 0.10, 0.07), (0.45, 0.25, 0.22),
-         1.04, 1.08, 1.15, 1.1, 0.55, True, 84, 1.08, ("shirt", "tee", "blazer", "sweater")),
-    Look((0.76, 0.56, 0.42), (0.08, 0.07, 0.08), "bob", (0.17, 0.11, 0.08), (0.68, 0.34, 0.34),
-         0.98, 0.92, 0.95, 0.9, 0.0, False, 68, 0.86, ("sweater", "blazer", "blouse", "shirt")),
-    Look((0.90, 0.71, 0.60), (0.62, 0.60, 0.58), "short", (0.36, 0.45, 0.52), (0.68, 0.44, 0.40),
-         1.05, 1.02, 1.1, 0.9, 0.0, True, 82, 1.14, ("blazer", "shirt", "sweater")),
-    Look((0.60, 0.41, 0.30), (0.12, 0.08, 0.07), "curly", (0.20, 0.13, 0.08), (0.58, 0.29, 0.28),
-         0.97, 0.94, 1.05, 0.9, 0.0, False, 71, 0.92, ("tee", "blouse", "sweater", "blazer")),
-)  # fmt: skip
 
-_STYLES = (
-    Style(1.00, 0.85, 0.80, 1.00, 0, 1.0, 1.0, 1.0, ("beat", "list", "cut", "point_you")),
-    Style(1.25, 0.65, 0.92, 1.15, -14, 1.3, 1.3, 1.2, ("beats", "spread", "palms", "circle")),
-    Style(0.72, 0.90, 0.62, 0.85, 8, 0.7, 0.7, 0.8, ("beat", "pinch", "weigh", "frame")),
-    Style(0.95, 0.12, 0.80, 1.10, -4, 1.1, 0.9, 1.1, ("beat", "chest", "offer", "sweep")),
-    Style(1.10, 0.75, 0.70, 0.80, 2, 0.9, 1.2, 0.9, ("beats", "rise", "frame", "weigh")),
-    Style(1.15, 0.30, 0.88, 1.20, -10, 1.2, 1.1, 1.1, ("circle", "roll", "spread", "offer")),
-)
+def _by_hand() -> list[Presenter]:
+    """The presenters of `presenters.yaml`."""
 
-_VOICES = (
-    Voice(112, 5.0, 1.00, 1.00, 0.03, 0.65, 1.0, "m3", 45),
-    Voice(205, 6.0, 1.17, 1.06, 0.05, 0.60, 1.0, "f2", 55),
-    Voice(86, 3.5, 0.92, 0.92, 0.03, 0.70, 1.0, "m7", 25),
-    Voice(178, 4.5, 1.12, 0.98, 0.12, 0.40, 1.0, "f4", 40),
-    Voice(132, 5.0, 1.00, 0.88, 0.10, 0.45, 3.0, "m5", 50),
-    Voice(255, 6.0, 1.24, 1.06, 0.05, 0.65, 0.7, "f5", 85),
-)
-"""A man, a woman, a deep man, a breathy woman, an old man and a young, small voice."""
+    def part(kind: type, values: dict[str, Any]) -> Any:
+        return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
 
-_NAMES = ("adam", "bella", "carl", "dora", "emil", "fay")
+    rows = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text("utf-8"))
+    kinds = {"look": Look, "style": Style, "voice": Voice}
+    return [
+        Presenter(r["name"], **{k: part(kind, r[k]) for k, kind in kinds.items()}) for r in rows
+    ]
+
+
+BY_HAND = _by_hand()
 
 
 def presenter(index: int, seed: int = 0) -> Presenter:
@@ -135,23 +118,23 @@ def presenter(index: int, seed: int = 0) -> Presenter:
 
     The first six are drawn by hand; later ones mix looks, styles and voices by the seed.
     """
-    if index < len(_NAMES):
-        return Presenter(_NAMES[index], _LOOKS[index], _STYLES[index], _VOICES[index])
+    if index < len(BY_HAND):
+        return BY_HAND[index]
     rng = np.random.default_rng([seed, index, 101])
-    pick = int(rng.integers(len(_LOOKS)))
+    pick = BY_HAND[int(rng.integers(len(BY_HAND)))]
     tone = float(rng.uniform(0.75, 1.1))
-    red, green, blue = (float(min(0.95, c * tone)) for c in _LOOKS[pick].skin)
+    red, green, blue = (float(min(0.95, c * tone)) for c in pick.look.skin)
     look = replace(
-        _LOOKS[pick],
+        pick.look,
         skin=(red, green, blue),
         face_width=float(rng.uniform(0.93, 1.07)),
         jaw=float(rng.uniform(0.9, 1.1)),
         glasses=bool(rng.random() < 0.3),
     )
-    style = _STYLES[int(rng.integers(len(_STYLES)))]
+    style = BY_HAND[int(rng.integers(len(BY_HAND)))].style
     style = replace(style, amplitude=float(rng.uniform(0.75, 1.25)))
-    voice = replace(_VOICES[pick], rate=float(rng.uniform(0.9, 1.1)))
-    return Presenter(f"{_NAMES[pick]}{index}", look, style, voice)
+    voice = replace(pick.voice, rate=float(rng.uniform(0.9, 1.1)))
+    return Presenter(f"{pick.name}{index}", look, style, voice)
 
 
 def _hue(rng: np.random.Generator, saturation: float, value: float) -> Colour:

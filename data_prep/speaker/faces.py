@@ -65,11 +65,7 @@ class Face:
     def scaled(self, factor: float, x: float = 0.0, y: float = 0.0) -> "Face":
         """The box in a picture `factor` times as large, moved by `(x, y)` pixels after that."""
         return replace(
-            self,
-            x=self.x * factor + x,
-            y=self.y * factor + y,
-            w=self.w * factor,
-            h=self.h * factor,
+            self, x=self.x * factor + x, y=self.y * factor + y, w=self.w * factor, h=self.h * factor
         )
 
 

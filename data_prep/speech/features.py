@@ -93,10 +93,7 @@ class Speech:
 
     @classmethod
     def of_features(
-        cls,
-        features: Mapping[str, NDArray],
-        frames: int,
-        words: Iterable[Word] | None = None,
+        cls, features: Mapping[str, NDArray], frames: int, words: Iterable[Word] | None = None
     ) -> "Speech":
         """Speech of `frames` video frames of which the features are known, but not the sound."""
         return cls(None, words, features=features, frames=frames)

@@ -37,14 +37,7 @@ class Features:
         out = empty((len(field.flow), *self.shape), self.dtype)
         made = pixels(out if generated is None else generated)
         warp_kernel.blend(
-            self.array,
-            field.flow,
-            field.occlusion,
-            field.corners,
-            made,
-            lie,
-            warped,
-            pixels(out),
+            self.array, field.flow, field.occlusion, field.corners, made, lie, warped, pixels(out)
         )
         return out
 

@@ -125,10 +125,7 @@ class RenderSession:
         count = len(driving.shift)
         parts = self.draw(_filled(driving, self.batch), _fill(background, self.batch), painted)
         return Parts(
-            parts.flow[:count],
-            parts.occlusion[:count],
-            parts.painted[:count],
-            parts.frames[:count],
+            parts.flow[:count], parts.occlusion[:count], parts.painted[:count], parts.frames[:count]
         )
 
 

@@ -259,11 +259,7 @@ class Winograd:
     """
 
     def __init__(
-        self,
-        kernel: Kernel,
-        *,
-        relu: bool = True,
-        scale_shift: tuple[Tensor, Tensor] | None = None,
+        self, kernel: Kernel, *, relu: bool = True, scale_shift: tuple[Tensor, Tensor] | None = None
     ) -> None:
         self.size = kernel.weight.shape[-1]
         self.m = 3 if self.size == 2 else 4
@@ -290,8 +286,7 @@ class Winograd:
         edge = 1 if self.size == 2 else 0
         grid = (-(-(height + edge) // self.m), -(-(width + edge) // self.m))
         out = torch.empty(
-            (count, outputs, grid[0] * self.m, grid[1] * self.m),
-            memory_format=torch.channels_last,
+            (count, outputs, grid[0] * self.m, grid[1] * self.m), memory_format=torch.channels_last
         )
         tiles = count * grid[0] * grid[1]
         size = min(TILES, tiles)

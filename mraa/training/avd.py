@@ -160,11 +160,7 @@ class Recovery:
 
 @torch.no_grad()
 def recovery(
-    avd: AvdNetwork,
-    motions: list[Motion],
-    config: RendererConfig,
-    scale: float,
-    pairs: int = 1024,
+    avd: AvdNetwork, motions: list[Motion], config: RendererConfig, scale: float, pairs: int = 1024
 ) -> Recovery:
     """Measure a network in evaluation mode on clips that it was not trained on.
 

@@ -239,8 +239,7 @@ def test_bad_configurations_are_one_line(other, tmp_path, capsys, text, words):
     config = tmp_path / "config.yaml"
     config.write_text(text)
     status, out, err = call(
-        capsys,
-        *("import-mraa", other / "other.pth", "-o", tmp_path / "bundle", "--config", config),
+        capsys, *("import-mraa", other / "other.pth", "-o", tmp_path / "bundle", "--config", config)
     )
     assert status == 2 and out == "" and words in err and err.count("\n") == 1
     assert list(tmp_path.iterdir()) == [config]

@@ -33,10 +33,7 @@ def frame(level: int) -> np.ndarray:
 def folder(tmp_path: Path) -> Path:
     for name in ("frames", "audio", "features", "words"):
         (tmp_path / name).mkdir()
-    clips = [
-        Clip("b_001", "b", "train", "b", 4.0, 5),
-        Clip("a_000", "a", "test", "a", 0.0, 3),
-    ]
+    clips = [Clip("b_001", "b", "train", "b", 4.0, 5), Clip("a_000", "a", "test", "a", 0.0, 3)]
     write_table(tmp_path / "meta.csv", clips, 25)
     (tmp_path / "dataset.json").write_text(json.dumps({"format": 1}))
     for clip in clips:

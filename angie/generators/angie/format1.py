@@ -6,10 +6,7 @@ PARTS = {"vq": "angie.vq", "gpt": "angie.gpt", "refiner": "angie.refiner"}
 
 SECTIONS = ("vq", "gpt", "refiner", "generation", "train_vq", "train_gpt", "train_refiner")
 
-RENAMED = {
-    ("train_vq", "summed"): "path_loss",
-    ("train_vq", "summed_norm"): "path_loss_norm",
-}
+RENAMED = {("train_vq", "summed"): "path_loss", ("train_vq", "summed_norm"): "path_loss_norm"}
 
 REMOVED = {
     ("refiner", "mfcc_encoder"): "linear",

@@ -106,11 +106,7 @@ class AngieGenerator(GestureGenerator):
         return self.gpt is not None and self.config.sampling.method != "greedy"
 
     def __post_init__(self) -> None:
-        regions = {
-            self.vq.config.regions,
-            self.refiner.config.regions,
-            self.statistics.regions,
-        }
+        regions = {self.vq.config.regions, self.refiner.config.regions, self.statistics.regions}
         direct = isinstance(self.vq, DirectMotion)
         if self.gpt is None or direct:
             fit = direct and self.gpt is None

@@ -168,10 +168,7 @@ def _all_codes(vq: VQMotionExtractor, windows: MotionWindows) -> Tensor:
 
 
 def gpt_report(
-    gpt: CoSpeechGPT,
-    vq: VQMotionExtractor,
-    windows: MotionWindows,
-    held_out: MotionWindows | None,
+    gpt: CoSpeechGPT, vq: VQMotionExtractor, windows: MotionWindows, held_out: MotionWindows | None
 ) -> dict[str, Any]:
     """Cross-entropy on held-out windows, against other sound's and an order-2 model's."""
     if held_out is None:

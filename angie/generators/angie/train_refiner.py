@@ -97,11 +97,7 @@ def refiner_loss(residual: Tensor, pattern: Tensor, truth: Tensor, shifts: int) 
 
 
 def whole_loss(
-    residual: Tensor,
-    pattern: Tensor,
-    truth: Tensor,
-    shifts: int,
-    training: RefinerTraining,
+    residual: Tensor, pattern: Tensor, truth: Tensor, shifts: int, training: RefinerTraining
 ) -> Tensor:
     """`refiner_loss` and what `training` adds to it, all in units of the pose scale."""
     loss = refiner_loss(residual, pattern, truth, shifts)

@@ -11,13 +11,7 @@ import torch
 from angie.bundle import BUNDLE, Bundle
 from angie.cli import main
 from angie.config import parse_overrides, preset
-from angie.evaluation.ablation import (
-    COLUMNS,
-    _copy_motion,
-    ablate,
-    settings_of,
-    table,
-)
+from angie.evaluation.ablation import COLUMNS, _copy_motion, ablate, settings_of, table
 from angie.evaluation.networks import EvaluationConfig
 from angie.generators.angie.direct import DirectMotion
 from angie.generators.angie.report import broken_share
@@ -37,13 +31,7 @@ CPU = RunConfig(device="cpu")
 
 def run(dataset, bundle, output, variants):
     return ablate(
-        dataset.path,
-        bundle.folder,
-        output,
-        variants=variants,
-        changes=FEW,
-        config=SCORING,
-        run=CPU,
+        dataset.path, bundle.folder, output, variants=variants, changes=FEW, config=SCORING, run=CPU
     )
 
 

@@ -31,8 +31,7 @@ def test_full_is_relative_motion_in_units_of_its_deviation(statistics, poses):
 
 
 @pytest.mark.parametrize(
-    "quant, shift, extent",
-    [("mu_L", False, False), ("dmu_L", True, False), ("mu_dL", False, True)],
+    "quant, shift, extent", [("mu_L", False, False), ("dmu_L", True, False), ("mu_dL", False, True)]
 )
 def test_absolute_blocks_do_not_move_with_the_start(statistics, poses, quant, shift, extent):
     channels = Channels.of(statistics, quant)

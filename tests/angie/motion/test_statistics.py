@@ -14,10 +14,7 @@ def still_but_one(speaker: str, offset: float) -> MotionClip:
     shift = torch.full((16, 6, 2), offset)
     shift[1::2, 2, 0] += 1
     cholesky = torch.full((16, 6, 3), 0.1)
-    features = {
-        "onset": np.ones((2, 426), np.float32),
-        "mfcc": np.ones((16, 28, 12), np.float32),
-    }
+    features = {"onset": np.ones((2, 426), np.float32), "mfcc": np.ones((16, 28, 12), np.float32)}
     speech = Speech.of_features(features, 16)
     return MotionClip(speaker, speaker, Motion(shift, cholesky), speech)
 

@@ -273,11 +273,7 @@ def with_edits(path: Path, video: list[tuple[int, int]], audio: list[tuple[int, 
     ],
 )
 def test_edit_lists_are_followed(
-    tmp_path: Path,
-    video: list[tuple[int, int]],
-    audio: list[tuple[int, int]],
-    lit: int,
-    count: int,
+    tmp_path: Path, video: list[tuple[int, int]], audio: list[tuple[int, int]], lit: int, count: int
 ) -> None:
     rate, path = 16000, tmp_path / "a.mp4"
     click = np.zeros(4 * rate, np.float32)

@@ -206,10 +206,7 @@ def test_a_broken_transcript_is_told_and_the_video_kept(talks: Path, tmp_path: P
 
 def test_one_run_at_a_time(talks: Path, tmp_path: Path) -> None:
     (tmp_path / ".data.part").mkdir()
-    with (
-        locked(tmp_path / ".data.part", tmp_path),
-        pytest.raises(BadInput, match="another run"),
-    ):
+    with locked(tmp_path / ".data.part", tmp_path), pytest.raises(BadInput, match="another run"):
         again(talks, tmp_path / "data")
     assert (tmp_path / ".data.part").is_dir()
 

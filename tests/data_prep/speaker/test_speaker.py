@@ -135,8 +135,7 @@ def test_no_face_in_pictures_without_people(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the real photos are not here")
 @pytest.mark.parametrize(
-    ("name", "least"),
-    [("group_solvay1927.jpg", 20), ("two_people.jpg", 2), ("pats_003.png", 1)],
+    ("name", "least"), [("group_solvay1927.jpg", 20), ("two_people.jpg", 2), ("pats_003.png", 1)]
 )
 def test_people_in_real_photos(name: str, least: int) -> None:
     found = find_people(read_photo(SHARED / name))
