@@ -15,8 +15,7 @@ Force = Annotated[bool, typer.Option("--force", help="Replace an existing output
 Seed = Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of everything random.")]
 Device = Annotated[str, typer.Option(help="auto, cpu, cuda or mps.")]
 Precision = Annotated[
-    str,
-    typer.Option(help="Of the networks: auto (the fastest available), fp32, bf16 or fp16."),
+    str, typer.Option(help="Of the networks: auto (the fastest available), fp32, bf16 or fp16.")
 ]
 Style = Annotated[
     str | None,
