@@ -67,7 +67,14 @@ def _lite() -> Preset:
             background=HourglassConfig(16, 4, 64),
             background_scale=0.25,
             flow=HourglassConfig(32, 5, 128),
-            generator=GeneratorConfig("deep", width=128, bottleneck_blocks=6),
+            generator=GeneratorConfig(
+                "deep",
+                width=128,
+                bottleneck_blocks=6,
+                refine_blocks=8,
+                half_blocks=2,
+                fine_occlusion=True,
+            ),
             affine_mode="sym",
         ),
         train_renderer=RendererTraining(

@@ -177,6 +177,7 @@ def _state(bundle: "Bundle", part: str) -> str:
         words.append(f"{report['minutes']} min in {report['clips']} clips of {report['dataset']}")
     if "imported" in report:
         words.append(f"imported from {report['imported']}, whose authors' terms hold for it")
+    words += report.get("credits", [])
     if "perceptual" in report:
         words.append(f"perceptual loss {report['perceptual']}")
     if "reconstruction" in report:

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 import torch
 from pack_frames import decoded, find_crop, seen_centres, true_centres, videos
-from people_networks import People, Square
+from pictures.people import People, Square
 from replace_renderer import architecture
 from safetensors.torch import load_file
 

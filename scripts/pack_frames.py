@@ -219,7 +219,7 @@ def main() -> None:
     given.archive.mkdir(parents=True, exist_ok=True)
     keyed, people = given.kind == "signer", None
     if keyed:
-        from people_networks import People
+        from pictures.people import People
 
         people = People(given.models)
     pictures = Writer(given.archive / given.kind, given.crf)

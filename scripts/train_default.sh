@@ -1,6 +1,8 @@
 #!/usr/bin/env bash
 # Make the bundle, the photo and the recording that ship in angie/default, from nothing.
-#   bash scripts/train_default.sh WORK     many hours on two cores; run again, it goes on
+#   bash scripts/train_default.sh WORK [SIGNER AVATARS MODELS]
+# Many hours on two cores; run again, it goes on. With the folders of other people's videos and of
+# the networks that see hands, the pictures are trained on a GPU at last (see train_on_gpu.sh).
 # Regions and masks are taught the joints of 16 phantoms first (see teach_renderer.py), a slim
 # renderer is trained with them, then the deep one: 1800 steps in which the regions learn without
 # labels on 20 minutes of four phantoms, 1200 in which they rest on 70 minutes. Motion is learnt from
@@ -12,7 +14,9 @@ export OMP_WAIT_POLICY=PASSIVE
 slim=(renderer.generator.design=lite renderer.generator.width=64 renderer.generator.bottleneck_blocks=4)
 jitter=(hue=0.3 contrast=0.3 saturation=0.8 brightness=0.2)
 common=(train_renderer.warmup_steps=0 train_renderer.batch=4 train_renderer.blend=0.5
-  train_renderer.sheet_every=250 "${jitter[@]/#/train_renderer.augmentation.}")
+  train_renderer.sheet_every=250 "${jitter[@]/#/train_renderer.augmentation.}"
+  renderer.generator.refine_blocks=2 renderer.generator.half_blocks=0
+  renderer.generator.fine_occlusion=false)
 
 videos() { # NAME MINUTES PRESENTERS SEED
   [ -d "$work/raw$1" ] ||
@@ -40,7 +44,9 @@ renderer data16 slim "${slim[@]}" train_renderer.initial="$work/taught.safetenso
   "train_renderer.milestones=[0.6, 0.9]" train_renderer.occlusion_cost=2 \
   train_renderer.augmentation.zoom=0.5
 [ -f "$work/masks.safetensors" ] ||
-  python "$here/refit_renderer.py" "$work/slim/renderer.safetensors" "$work/masks.safetensors"
+  python "$here/refit_renderer.py" "$work/slim/renderer.safetensors" "$work/masks.safetensors" \
+    renderer.generator.refine_blocks=2 renderer.generator.half_blocks=0 \
+    renderer.generator.fine_occlusion=false
 renderer data20 regions train_renderer.initial="$work/masks.safetensors" \
   train_renderer.steps=1800 train_renderer.rate=5e-4 "train_renderer.milestones=[0.89]" \
   train_renderer.equivariance_shift=4 train_renderer.augmentation.zoom=0.1
@@ -56,4 +62,15 @@ renderer data70 bundle train_renderer.initial="$work/regions/renderer.safetensor
   angie train "$work/data116" -o "$work/bundle" --stage gpt --resume
 [ -f "$work/bundle/angie.refiner.safetensors" ] ||
   angie train "$work/data116" -o "$work/bundle" --stage refiner --resume
-python "$here/ship_default.py" "$work/bundle"
+shipped="$work/bundle"
+if [ $# -ge 4 ]; then
+  videos 9 9 18 11
+  shipped="$work/pictures"
+  [ -f "$work/packed/natural.safetensors" ] ||
+    bash "$here/train_on_gpu.sh" pack "$work/packed" "$2" "$3" "$work/raw9" "$4" "$work/bundle"
+  [ -f "$work/drawn/final.safetensors" ] || LIMIT=560 \
+    bash "$here/train_on_gpu.sh" train "$work/packed" "$work/drawn" --refine 8 --rate 0.0012
+  [ -d "$shipped" ] ||
+    python "$here/replace_renderer.py" "$work/bundle" "$work/drawn/final.safetensors" "$shipped"
+fi
+python "$here/ship_default.py" "$shipped"

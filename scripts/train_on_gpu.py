@@ -23,8 +23,8 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from gpu_frames import KINDS, PairMaker, Pairs, load_frames
-from gpu_training import Training, drawn, scores
+from pictures.frames import KINDS, PairMaker, Pairs, load_frames
+from pictures.training import Training, drawn, scores
 from safetensors.torch import save_file
 from torch import Tensor, nn
 

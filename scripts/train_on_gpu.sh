@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Train the shipped renderer's pictures on a GPU, in nine minutes, from one packed folder.
-#   bash scripts/train_on_gpu.sh pack PACKED SIGNER AVATARS PHANTOM MODELS    here, on CPUs
-#   bash scripts/train_on_gpu.sh smoke PACKED OUT                             there, two minutes
-#   bash scripts/train_on_gpu.sh train PACKED OUT [option ...]                there, nine minutes
+#   bash scripts/train_on_gpu.sh pack PACKED SIGNER AVATARS PHANTOM MODELS [BUNDLE]   here, on CPUs
+#   bash scripts/train_on_gpu.sh smoke PACKED OUT                                    there, two minutes
+#   bash scripts/train_on_gpu.sh train PACKED OUT [option ...]                       there, nine minutes
 # PACKED gets all that the other machine needs but Python with torch, kornia, OpenCV, safetensors:
 # frames, weights and this code (at most 64 MiB). OUT gets at most eight files of 16 MiB.
 set -euo pipefail
@@ -21,9 +21,9 @@ if [ "$mode" = pack ]; then
   pack avatars "$avatars" 5
   pack phantom "$phantom" 7
   python "$here/draw_backgrounds.py" "$frames"
-  python "$here/pack_weights.py" "$packed"
+  python "$here/pack_weights.py" "$packed" ${5:+--bundle "$5"}
   cp -r "$here/../mraa" "$here/../data_prep" "$packed/code"
-  cp "$here"/{train_on_gpu,gpu_training,gpu_frames,gpu_losses}.py "$here/train_on_gpu.sh" "$packed/code/scripts"
+  cp -r "$here"/{train_on_gpu.py,train_on_gpu.sh,pictures} "$packed/code/scripts"
   find "$packed/code" -name __pycache__ -prune -exec rm -r {} +
   du -sh "$packed"
   exit

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from gpu_frames import PairMaker, Pairs
-from gpu_losses import (
+from pictures.frames import PairMaker, Pairs
+from pictures.losses import (
     Critic,
     PictureLoss,
     classes_of,
