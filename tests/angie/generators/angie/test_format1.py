@@ -1,24 +1,35 @@
 """Bundles from when there was ANGIE alone: the manifest that shipped then, with today's weights."""
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
 
 import pytest
+from safetensors.torch import save_file
 
 from angie.bundle import BUNDLE, Bundle
-from angie.config import override
+from angie.config import override, stored
+from angie.parts import halve
 from data_prep.errors import BadInput
+from data_prep.files import sha256
+from mraa.renderer import GeneratorConfig, Renderer
 
 
 @pytest.fixture
 def old(tmp_path) -> Path:
-    """The shipped bundle as format 1 had it."""
+    """The shipped bundle as format 1 had it, with an untrained renderer of the sizes of then."""
     folder = tmp_path / "old"
     folder.mkdir()
     for path in BUNDLE.glob("*.safetensors"):
         shutil.copy(path, folder / path.name.removeprefix("angie."))
-    shutil.copy(Path(__file__).with_name("format1.json"), folder / "bundle.json")
+    text = Path(__file__).with_name("format1.json").read_text()
+    manifest = json.loads(text)
+    sizes = stored({"renderer": manifest["config"]["renderer"]}).renderer
+    save_file(halve(Renderer(sizes).state_dict()), folder / "renderer.safetensors")
+    given = manifest["parts"]["renderer"]["sha256"]
+    text = text.replace(given, sha256(folder / "renderer.safetensors"))
+    (folder / "bundle.json").write_text(text)
     return folder
 
 
@@ -31,11 +42,15 @@ def change(folder: Path, section: str, **values) -> None:
 def test_a_bundle_of_format_1_is_the_shipped_one(old):
     then, now = Bundle.open(old), Bundle.open(BUNDLE)
     assert then.settings("angie") == now.settings("angie")
-    assert then.preset.renderer == now.preset.renderer
+    assert then.preset.renderer.generator == GeneratorConfig("deep", width=128)  # none is stored
+    generator = now.preset.renderer.generator
+    assert dataclasses.replace(then.preset.renderer, generator=generator) == now.preset.renderer
     assert then.needed() == now.needed() and all(then.has(part) for part in then.needed())
-    for part in then.needed():
+    then.renderer()
+    for part in then.needed()[1:]:
         assert then.hash_of(part) == now.hash_of(part)
-        assert then.manifest["parts"][part]["upstream"] == now.manifest["parts"][part]["upstream"]
+        before, after = (b.manifest["parts"][part]["upstream"] for b in (then, now))
+        assert before | {"renderer": ""} == after | {"renderer": ""}
         assert then.report(part) == now.report(part)
     assert "audio_sensitivity" in then.report("angie.gpt")
     assert then.generator().chunked == now.generator().chunked
