@@ -100,5 +100,5 @@ def test_a_file_holds_all_that_the_features_depend_on(motion, model, tmp_path):
 def test_other_files_are_refused(tmp_path):
     (tmp_path / "text").write_text("not tensors")
     for name in ("text", "missing"):
-        with pytest.raises(BadInput, match="no auto-encoder of FGD"):
+        with pytest.raises(BadInput, match="not an autoencoder of FGD"):
             load_autoencoder(tmp_path / name)
