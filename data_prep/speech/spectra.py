@@ -23,6 +23,7 @@ from data_prep.rates import (
     frames_covering,
     tokens_covering,
 )
+from data_prep.speech.beats import beats
 
 ONSET_SIZE = 426
 """Columns: MFCC 20, their deltas 20, onset strength 1, beat 1, tempogram 384."""
@@ -35,6 +36,9 @@ _FFT = 2048
 _HOP = 512
 _ONSET_RATE = SAMPLE_RATE * _HOP // SAMPLES_PER_TOKEN
 """1600 Hz, at which librosa's usual hop of 512 gives one row a token."""
+
+_BPM = 120.0
+"""Beats a minute that are likeliest before a recording is heard."""
 
 _MFCCS = 20
 _TEMPOGRAM = 384
@@ -66,22 +70,21 @@ _FLOOR = np.finfo(np.float64).eps
 
 @functools.cache
 def load_librosa() -> ModuleType:
-    """Librosa with its beat tracker, imported and compiled when first needed.
+    """Librosa but for its beat tracker, imported when first needed.
 
     Numba keeps on disk what it compiles. Processes that compile a function of librosa at the same
-    moment mix up its files, and then they and all later ones crash; so they do it in turn.
+    moment mix up its files, and then they and all later ones crash; so they import it in turn.
     """
     numba_cache()
     folder = os.environ.get("NUMBA_CACHE_DIR")
     if folder:
         os.makedirs(folder, exist_ok=True)
     with FileLock(os.path.join(folder, "librosa.lock")) if folder else nullcontext():
-        import librosa.beat
+        import librosa.effects
+        import librosa.feature
+        import librosa.onset
 
-        strength = np.tile(np.array([1, 0, 0, 0], np.float32), 32)  # what is compiled when called
-        with np.errstate(divide="ignore"):  # the tempo of lag 0
-            librosa.beat.beat_track(onset_envelope=strength, sr=_ONSET_RATE, hop_length=_HOP)
-        librosa.onset.onset_detect(onset_envelope=strength, sr=SAMPLE_RATE)
+        librosa.onset.onset_detect(onset_envelope=np.ones(64, np.float32), sr=SAMPLE_RATE)
     return librosa
 
 
@@ -110,11 +113,12 @@ def onset_rows(samples: NDArray) -> NDArray:
     delta = librosa.feature.delta(mfcc, width=3)
     strength = _onset_strength(_percussive(slow), _ONSET_RATE, np.median)
     beat = np.zeros_like(strength)
-    with np.errstate(divide="ignore"):  # the tempo of lag 0
-        _, places = librosa.beat.beat_track(
-            onset_envelope=strength, sr=_ONSET_RATE, hop_length=_HOP
-        )
-    beat[places] = 1
+    if strength.any():
+        with np.errstate(divide="ignore"):  # the tempo of lag 0
+            tempo = librosa.feature.tempo(
+                onset_envelope=strength, sr=_ONSET_RATE, hop_length=_HOP, start_bpm=_BPM
+            )
+        beat[beats(strength, max(1, round(60 * _ONSET_RATE / _HOP / float(tempo[0]))))] = 1
     columns = [mfcc.T, delta.T, strength[:, None], beat[:, None], _tempogram(strength)]
     rows = np.concatenate(columns, axis=1, dtype=np.float32)[:tokens]
     return np.pad(rows, ((0, tokens - len(rows)), (0, 0)), mode="edge")
