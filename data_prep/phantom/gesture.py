@@ -5,8 +5,11 @@ degrees in the same frame: 0 points outwards, -90 up, -180 inwards, -270 down.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from data_prep.phantom.presenters import Style
@@ -14,19 +17,6 @@ from data_prep.phantom.script import TRIGGERS
 from data_prep.phantom.speech import Speech
 
 Place = tuple[float, float, float]
-
-SHAPES: dict[str, tuple[float, ...]] = {
-    "relaxed": (0.35, 0.28, 0.34, 0.40, 0.46, 0.35),
-    "open": (0.05, 0.02, 0.00, 0.02, 0.05, 1.15),
-    "flat": (0.25, 0.03, 0.03, 0.03, 0.05, 0.15),
-    "fist": (0.75, 0.95, 0.95, 0.95, 0.95, 0.10),
-    "point": (0.70, 0.02, 0.92, 0.95, 0.95, 0.20),
-    "pinch": (0.55, 0.52, 0.30, 0.26, 0.24, 0.55),
-    "two": (0.75, 0.02, 0.02, 0.95, 0.95, 0.80),
-    "three": (0.10, 0.02, 0.02, 0.95, 0.95, 0.95),
-    "cup": (0.30, 0.36, 0.36, 0.36, 0.36, 0.60),
-}
-"""Curl of the fingers from the thumb on, 0 straight to 1 folded, and the spread between them."""
 
 
 @dataclass(frozen=True)
@@ -44,42 +34,22 @@ class Template:
     other: tuple[Place, Place] | None = None  # of the second hand, when it differs
 
 
-REST = Template((37, 152, 62), (37, 152, 62), "relaxed", (-206, -206), -0.7, 0.9)
+def _template(values: dict[str, Any]) -> Template:
+    """A template of `gesture.yaml`."""
+    other = values.pop("other", None)
+    fixed = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    return Template(**fixed, other=None if other is None else (tuple(other[0]), tuple(other[1])))
+
+
+_DATA = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text("utf-8"))
+
+SHAPES: dict[str, tuple[float, ...]] = {k: tuple(v) for k, v in _DATA["shapes"].items()}
+"""Curl of the fingers from the thumb on, 0 straight to 1 folded, and the spread between them."""
+
+REST = _template(_DATA["rest"])
 """Hands folded before the waist or on the desk."""
 
-TEMPLATES: dict[str, Template] = {
-    "beat": Template((66, 78, 80), (70, 124, 95), "relaxed", (-118, -100), 0.5, 0.8),
-    "beats": Template((60, 76, 85), (66, 122, 95), "cup", (-115, -95), 0.4, 0.85, 2),
-    "spread": Template((30, 98, 95), (132, 82, 45), "open", (-95, -48), 1.0, 1.0, 2),
-    "pinch": Template((62, 78, 95), (46, 98, 125), "pinch", (-105, -125), 0.8, 1.0),
-    "up": Template((70, 112, 80), (82, -2, 55), "point", (-80, -90), 0.8, 1.0),
-    "down": Template((76, 62, 80), (78, 138, 85), "point", (-120, -262), 0.7, 1.0),
-    "point_you": Template((66, 96, 50), (48, 66, 150), "point", (-100, -112), 0.5, 0.62),
-    "point_me": Template((84, 104, 90), (26, 74, 56), "point", (-110, -172), 0.7, 1.0),
-    "one": Template((72, 96, 80), (64, 66, 108), "point", (-95, -92), 0.9, 1.0),
-    "two": Template((74, 96, 80), (68, 62, 108), "two", (-95, -90), 0.9, 1.0),
-    "three": Template((76, 96, 80), (72, 58, 108), "three", (-95, -88), 0.9, 1.0),
-    "list": Template((58, 74, 90), (78, 100, 100), "two", (-110, -80), 0.8, 1.0),
-    "wave_off": Template((34, 66, 90), (122, 106, 60), "flat", (-150, -20), 0.4, 0.95),
-    "circle": Template((62, 62, 85), (58, 112, 95), "point", (-100, -115), 0.7, 0.95,
-                       bulge=(62, -6, 0)),
-    "palms": Template((50, 112, 60), (76, 54, 125), "open", (-100, -82), 1.0, 1.0, 2),
-    "chest": Template((78, 104, 85), (20, 64, 52), "flat", (-130, -168), 0.9, 1.0),
-    "cut": Template((14, 80, 95), (104, 104, 75), "flat", (-175, -40), 0.25, 1.0),
-    "weigh": Template((76, 96, 90), (92, 128, 90), "cup", (-70, -30), -0.7, 0.9, 2,
-                      other=((76, 96, 90), (88, 62, 90))),
-    "sweep": Template((-8, 82, 98), (130, 90, 50), "open", (-165, -30), 0.9, 1.0,
-                      bulge=(0, 14, 20)),
-    "rise": Template((64, 134, 85), (82, 40, 75), "flat", (-60, -50), -0.8, 0.9, 2),
-    "fall": Template((78, 40, 80), (70, 134, 90), "flat", (-120, -195), 0.6, 0.9, 2),
-    "gather": Template((112, 82, 60), (24, 104, 98), "cup", (-70, -160), 0.5, 0.95, 2),
-    "offer": Template((54, 104, 70), (96, 114, 125), "cup", (-100, -35), -0.8, 0.85),
-    "frame": Template((92, 66, 85), (50, 92, 115), "flat", (-80, -98), 0.2, 0.95, 2),
-    "roll": Template((52, 74, 95), (50, 114, 108), "cup", (-140, -130), 0.4, 0.9, 2,
-                     bulge=(44, 0, 25)),
-    "think": Template((84, 84, 75), (88, -26, 40), "point", (-100, -116), 0.7, 1.0),
-    "here": Template((58, 72, 95), (54, 142, 105), "point", (-120, -250), 0.7, 0.95),
-}  # fmt: skip
+TEMPLATES = {label: _template(values) for label, values in _DATA["templates"].items()}
 """Strokes by label."""
 
 FREE = ("beat", "beats", "offer", "frame", "weigh", "list", "roll", "cut", "palms", "circle",

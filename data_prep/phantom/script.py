@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 LEXICON: dict[str, tuple[str, ...]] = {
     word: tuple(phones)
@@ -13,69 +14,13 @@ LEXICON: dict[str, tuple[str, ...]] = {
 }
 """ARPAbet phones of each word that can be said; vowels end in 1 (stressed) or 0."""
 
-TRIGGERS = {
-    "big": "spread", "huge": "spread", "wide": "spread",
-    "small": "pinch", "tiny": "pinch", "little": "pinch",
-    "you": "point_you", "me": "point_me",
-    "up": "up", "down": "down",
-    "many": "sweep", "everything": "sweep", "all": "sweep",
-    "first": "one", "second": "two", "third": "three",
-    "never": "wave_off", "nothing": "wave_off", "no": "cut", "not": "cut",
-    "around": "circle", "turn": "circle", "stop": "palms", "wait": "palms",
-    "heart": "chest", "feel": "chest", "balance": "weigh", "between": "weigh",
-    "rise": "rise", "rising": "rise", "falling": "fall",
-    "together": "gather", "give": "offer", "offer": "offer",
-    "think": "think", "remember": "think", "here": "here",
-}  # fmt: skip
+_DATA = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text("utf-8"))
+
+TRIGGERS: dict[str, str] = _DATA["triggers"]
 """Words that always call for a stroke, and which."""
 
-_SLOTS = {
-    "thing": ("idea", "story", "problem", "question", "plan", "picture", "machine", "letter",
-              "language", "number", "market", "system", "answer", "river", "garden", "paper"),
-    "things": ("people", "music", "water", "energy", "science", "data", "history", "money",
-               "nature", "weather", "work", "light"),
-    "person": ("doctor", "teacher", "student", "family", "group", "human"),
-    "place": ("house", "city", "school", "field", "mountain", "world", "table", "window", "road"),
-    "way": ("simple", "clear", "easy", "hard", "important", "different", "careful", "strong",
-            "deep", "young", "new", "great", "good"),
-    "when": ("today", "now", "tomorrow", "yesterday", "again", "slowly", "always", "often"),
-    "do": ("make", "build", "find", "change", "learn", "open", "bring", "show", "travel", "grow"),
-    "size": ("big", "huge", "small", "tiny", "little", "wide"),
-    "deny": ("never", "not"),
-}  # fmt: skip
-
-_SENTENCES = (
-    "the [thing] was very [size], and the [person] was [way]",
-    "first, we [do] the [thing]. second, we [do] the [place]. third, we look at the [things]",
-    "we mean you, the [person] in the [place]",
-    "tell me about the [thing], and the [person] with the [way] [thing]",
-    "prices are rising [when], and the cost of [things] is falling",
-    "we look up at the [place], and walking down to the river",
-    "there are many [person] in the [place], and the [things] is [way]",
-    "it was [deny] about the [things], but the [thing] was [way]",
-    "turn the [thing] around, and show the other side",
-    "stop, because the [person] is moving into the [place]",
-    "every [person] should feel the [things] of the [place]",
-    "the balance of [things] and money is [way] [when]",
-    "we work together [when], to [do] the [thing]",
-    "give the [thing] to the [person], and [do] the [way] [place]",
-    "we think the [thing] of the [person] is [way]",
-    "here is the [thing], a [size] example of [things]",
-    "the [way] [thing] is a [thing] of [things]",
-    "when the [person] began to [do] the [thing], the [place] was open",
-    "the [person] can [do] the [place], the [thing], and the [things]",
-    "if we [do] the [thing] [when], the future is [way]",
-    "wait a minute, the [person] will [do] the [thing]",
-    "nothing in the [place] was [size], and the morning was long",
-    "everything in the [place] will change, and the [thing] will grow",
-    "remember the [thing], the reason is [way]",
-    "the [person] was running across the [place], into the light",
-    "some of the [things] will rise, and the [thing] is clear",
-    "no, the [thing] is [way], that is the point",
-    "our heart is in the [place], with the [person] and the [things]",
-    "between the [place] and the [place], there is a [size] road",
-    "we speak about the [way] [thing], the [way] [person], and the [way] [place]",
-)
+_SLOTS: dict[str, list[str]] = _DATA["slots"]
+_SENTENCES: list[str] = _DATA["sentences"]
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,10 @@ def call(capsys, *arguments):
         (["{data}", "{bundle}", "-o", "{data}", "--force"], "would replace the input"),
         (["{data}", "{bundle}", "-o", "{tmp}/out", "--start", "zero"], "truth and pose"),
         (["{data}", "{bundle}", "-o", "{tmp}/out", "--fgd", "{tmp}/none"], "no such file"),
-        (["{data}", "{bundle}", "-o", "{tmp}/out", "--fgd", "{tmp}/taken/text"], "not an autoencoder"),
+        (
+            ["{data}", "{bundle}", "-o", "{tmp}/out", "--fgd", "{tmp}/taken/text"],
+            "not an autoencoder",
+        ),
         (["{data}", "{bundle}", "-o", "{tmp}/out", "--truth", "{tmp}"], "truth"),
         (["{data}", "{bundle}", "-o", "{tmp}/out", "--reference", "{data}"], "--videos"),
         (["--videos", "{tmp}", "-o", "{tmp}/out"], "--reference"),
