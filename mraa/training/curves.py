@@ -63,6 +63,8 @@ def sample_sheet(renderer: Renderer, source: Tensor, driving: Tensor, rows: int 
     Returns:
         (rows * H, 6 * W, 3) uint8 RGB.
     """
+    from skimage.util import montage  # for training only
+
     mode = renderer.training
     renderer.eval()
     source, driving = source[:rows], driving[:rows]
@@ -82,7 +84,8 @@ def sample_sheet(renderer: Renderer, source: Tensor, driving: Tensor, rows: int 
         [draw_regions(columns[1][i], driving_regions[i : i + 1]) for i in range(len(source))]
     )
     ordered = [*columns[:2], marked, *columns[2:]]
-    return np.concatenate([np.concatenate(list(c)) for c in ordered], axis=1)
+    tiles = np.stack(ordered, axis=1).reshape(-1, height, width, 3)
+    return montage(tiles, grid_shape=(len(source), len(ordered)), channel_axis=-1)
 
 
 def write_sheet(path: Path, sheet: np.ndarray) -> None:
