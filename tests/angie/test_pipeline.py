@@ -98,7 +98,7 @@ def test_the_first_frame_is_the_photo_and_later_ones_move(video, photo):
     assert video.video.crop == crop
     error = ((frames[0] - cut_out(image, crop).astype(int)) ** 2).mean()
     assert 10 * np.log10(255**2 / error) > 20  # dB, through a barely trained renderer and H.264
-    assert np.abs(frames[1:] - frames[0]).mean() > 0.15
+    assert np.abs(frames[1:] - frames[0]).mean() > 0.3
 
 
 def test_frames_come_in_chunks_as_often_as_they_are_asked_for(video):
@@ -139,7 +139,7 @@ def test_samples_become_mono_at_16_khz():
 def test_what_cannot_be_is_told_before_anything_is_made(photo, speech, bundle, tmp_path):
     pipe = GesturePipeline(bundle)
     for options, words in (
-        ({"scale_motion": "arms"}, "--scale-motion arms: choose none or hull"),
+        ({"scale_motion": "arms"}, "--scale-motion arms: choose from none, hull"),
         ({"style": "adam"}, "one style only; models trained with gpt.joint=true"),
     ):
         with pytest.raises(BadInput, match=words):

@@ -47,7 +47,7 @@ def test_a_very_large_photo_is_reduced_and_the_person_told():
 
 
 @pytest.mark.parametrize(
-    ("options", "words"), [(("300",), "256, 512, 1024 and photo"), (("512", True), "give one")]
+    ("options", "words"), [(("300",), "256, 512, 1024, photo"), (("512", True), "give one")]
 )
 def test_what_cannot_be_is_refused(options, words):
     with pytest.raises(BadInput, match=words):
