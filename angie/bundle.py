@@ -103,8 +103,7 @@ class Bundle:
             manifest = json.loads(path.read_text())
             if manifest["format"] > FORMAT:
                 raise BadInput(
-                    f"{folder}: bundle format {manifest['format']} is newer than {FORMAT}; "
-                    "update angie"
+                    f"bundle format {manifest['format']} is newer than {FORMAT}; update angie"
                 )
             if manifest["format"] == 1:
                 from angie.generators.angie.format1 import upgrade

@@ -180,7 +180,11 @@ class GesturePipeline:
         precision: str = "auto",
     ) -> None:
         try:
-            choose_precision(precision, torch.device(device))
+            place = torch.empty(0, device=device).device
+        except (RuntimeError, AssertionError) as error:  # the latter by a torch without CUDA
+            raise BadInput(f"--device {device}: not on this machine ({error})") from error
+        try:
+            choose_precision(precision, place)
         except ValueError as error:
             raise BadInput(f"--precision {precision}: {error}") from error
         self.bundle, self.name = bundle, generator
@@ -309,6 +313,11 @@ class GesturePipeline:
         Raises:
             BadInput: a recording that cannot be used.
         """
+        if not isinstance(audio, tuple | str | Path):
+            raise BadInput(
+                f"audio: give a file, or samples and their rate as (array, rate), not "
+                f"{type(audio).__name__}"
+            )
         samples = mono(*audio) if isinstance(audio, tuple) else read_sound(Path(audio))
         speech = Speech(samples)
         known = [name for name in self.generator.features if name in FEATURES]
@@ -331,13 +340,15 @@ def mono(samples: NDArray, rate: int) -> NDArray[np.float32]:
     Raises:
         BadInput: another shape or type, nothing, or numbers that are not finite.
     """
-    if samples.dtype.kind == "i":
+    if not isinstance(samples, np.ndarray):
+        raise BadInput(f"audio: give an array and its rate, not {type(samples).__name__} first")
+    if samples.dtype in (np.int16, np.int32):
         samples = samples / -float(np.iinfo(samples.dtype).min)
     good = samples.dtype.kind == "f" and samples.ndim in (1, 2) and samples.size and rate > 0
     if not good or (samples.ndim == 2 and samples.shape[1] > 2) or not np.isfinite(samples).all():
         raise BadInput(
-            f"audio: give samples (N,) or (N, 2), finite floats in [-1, 1], and their rate, not "
-            f"{samples.shape} {samples.dtype} at {rate}"
+            "audio: give samples (N,) or (N, 2), finite floats in [-1, 1] or whole numbers of 16 "
+            f"or 32 bits, and their rate, not {samples.shape} {samples.dtype} at {rate}"
         )
     mixed = samples if samples.ndim == 1 else samples.mean(axis=1)
     made = soxr.resample(mixed.astype(np.float32), rate, SAMPLE_RATE)

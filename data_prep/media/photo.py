@@ -71,6 +71,8 @@ def photo_pixels(photo: Image.Image | np.ndarray) -> np.ndarray:
     """
     if isinstance(photo, Image.Image):
         return _checked(_upright(photo), "photo")
+    if not isinstance(photo, np.ndarray):
+        raise BadInput(f"photo: give a file, a picture or an array, not {type(photo).__name__}")
     if photo.ndim != 3 or photo.shape[2] != 3 or photo.dtype != np.uint8:
         raise BadInput(f"photo: an array is (H, W, 3) uint8 RGB, not {photo.shape} {photo.dtype}")
     return _checked(photo, "photo")

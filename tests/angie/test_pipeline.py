@@ -130,10 +130,12 @@ def test_samples_become_mono_at_16_khz():
     assert np.allclose(whole, 0.5)
     for samples, rate in (
         (np.zeros((10, 3)), 16_000), (np.zeros(0), 16_000), (np.full(9, np.nan), 16_000),
-        (np.zeros(9, bool), 16_000), (np.zeros(9), 0),
+        (np.zeros(9, bool), 16_000), (np.zeros(9), 0), (np.zeros(9, np.int64), 16_000),
     ):  # fmt: skip
         with pytest.raises(BadInput, match="audio: give samples"):
             mono(samples, rate)
+    with pytest.raises(BadInput, match="audio: give an array and its rate, not int first"):
+        mono(16_000, np.zeros(9))
 
 
 def test_what_cannot_be_is_told_before_anything_is_made(photo, speech, bundle, tmp_path):
@@ -152,6 +154,12 @@ def test_what_cannot_be_is_told_before_anything_is_made(photo, speech, bundle, t
     ):
         with pytest.raises(BadInput, match=words):
             pipe(image, speech)
+    with pytest.raises(BadInput, match="photo: give a file, a picture or an array, not NoneType"):
+        pipe(None, speech)
+    with pytest.raises(BadInput, match="audio: give a file, or samples and their rate .* ndarray"):
+        pipe.speech(np.zeros(16_000))
+    with pytest.raises(BadInput, match="--device nowhere: not on this machine"):
+        GesturePipeline(bundle, device="nowhere")
     with pytest.raises(BadInput, match="--precision fp16"):
         GesturePipeline(bundle, precision="fp16")
     with pytest.raises(BadInput, match="--generator none: .* has angie"):
