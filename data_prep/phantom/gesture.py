@@ -37,7 +37,7 @@ class Template:
 def _template(values: dict[str, Any]) -> Template:
     """A template of `gesture.yaml`."""
     other = values.pop("other", None)
-    fixed = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    fixed: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
     return Template(**fixed, other=None if other is None else (tuple(other[0]), tuple(other[1])))
 
 
