@@ -140,6 +140,7 @@ class Curves:
         """Bring the files up to date."""
         if self._events is not None:
             self._events.flush()
+        self.folder.mkdir(parents=True, exist_ok=True)
         with whole_file(self.table, force=True) as part:
             with part.open("w", newline="") as file:
                 rows = csv.writer(file)

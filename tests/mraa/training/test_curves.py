@@ -66,9 +66,10 @@ def test_no_points_and_no_numbers_are_drawn_too(tmp_path):
 
 def test_curves_do_without_tensorboard(tmp_path, monkeypatch):
     monkeypatch.setattr("mraa.training.curves.find_spec", lambda name: None)
-    curves = Curves(tmp_path, "toy", 0)
+    folder = tmp_path / "train" / "curves"  # is made
+    curves = Curves(folder, "toy", 0)
     curves.add(0, {"loss": 1.5})
     curves.image("samples", np.zeros((8, 8, 3), np.uint8), 0)
     curves.write()
     curves.close()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["toy.csv", "toy.png"]
+    assert sorted(path.name for path in folder.iterdir()) == ["toy.csv", "toy.png"]
