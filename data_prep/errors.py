@@ -1,7 +1,12 @@
-"""The one exception that means "what you gave cannot be used", and how a script reports it."""
+"""The one exception that means "what you gave cannot be used", and how a script reports it.
+
+Notes on what is used although something about it is odd.
+"""
 
 import sys
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -10,6 +15,28 @@ class BadInput(Exception):
 
     The command prints the message and exits with status 2. Anything else that escapes is a bug.
     """
+
+
+class Note(UserWarning):
+    """What was odd about an input that is used all the same, and what was done; one line."""
+
+
+def note(text: str) -> None:
+    """Warn of what was odd about an input; the command prints it as a line of its own."""
+    warnings.warn(Note(text), stacklevel=3)
+
+
+@contextmanager
+def collected_notes() -> Iterator[list[str]]:
+    """Keep the notes of the block, each text once, in the list that is yielded after it."""
+    texts: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", Note)
+        try:
+            yield texts
+        finally:
+            texts.extend(dict.fromkeys(str(one.message) for one in caught))
 
 
 def call_script(main: Callable[[], None]) -> None:
