@@ -23,7 +23,8 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from pictures.frames import KINDS, PairMaker, Pairs, load_frames
+from pictures.frames import KINDS, SURE, PairMaker, Pairs, load_frames
+from pictures.hands import HandNetwork, best_turns
 from pictures.training import Training, drawn, scores
 from safetensors.torch import save_file
 from torch import Tensor, nn
@@ -75,6 +76,12 @@ def write_sheet(path: Path, model: Renderer, sets: dict[str, Pairs]) -> None:
     cv2.imwrite(str(path), np.ascontiguousarray(pixels[:, :, ::-1]))
 
 
+def finish(device: torch.device) -> None:
+    """Wait for what other streams compute."""
+    if device.type == "cuda":
+        torch.cuda.synchronize()
+
+
 def save(model: nn.Module, path: Path) -> None:
     """Weights in half precision, written whole or not at all."""
     tensors = {
@@ -92,6 +99,9 @@ def parse() -> argparse.Namespace:
     for name in ("frames", "initial", "out"):
         parser.add_argument(name, type=Path)
     parser.add_argument("--natural", type=Path, help="weights of EfficientNet-Lite0")
+    parser.add_argument("--hands", type=Path, help="weights of a network that sees hands")
+    parser.add_argument("--graphs", type=int, default=1, help="steps as CUDA graphs; 0 for not")
+    parser.add_argument("--benchmark", type=int, default=0, help="let cuDNN try its algorithms")
     parser.add_argument("--seconds", type=float, default=520, help="from the script's start")
     parser.add_argument("--steps", type=int, default=0, help="end after so many, for trials")
     parser.add_argument("--batch", type=int, default=32)
@@ -150,8 +160,8 @@ def course(training: Training, sets: dict[str, Pairs], out: Path, seconds: float
             if progress >= 1:
                 break
             training.step(progress)
-            if training.steps % 20 == 0 and device.type == "cuda":
-                torch.cuda.synchronize()
+            if training.steps % 20 == 0:
+                finish(device)
             if now - spoken > 10 or training.steps in (1, 10):
                 done = training.steps - before
                 spent = time.monotonic() - spoken
@@ -163,19 +173,21 @@ def course(training: Training, sets: dict[str, Pairs], out: Path, seconds: float
                     training.renderer.load_state_dict(training.average.model.state_dict())
                     training.optimizer.state.clear()
                     given.rate /= 3
-                    training.seen.clear()
+                    for value in training.seen.values():
+                        value.zero_()
                 spoken, before = time.monotonic(), training.steps
             if now - checked > given.check:
+                finish(device)
                 say("average   " + row(measured(training.average.model, sets)), curve)
                 checked = time.monotonic()
             for mark, name in marks.items():
                 if progress >= mark and name not in written:
+                    finish(device)
                     written.add(name)
                     save(training.average.model, out / f"{name}.safetensors")
                     if name == "half":
                         write_sheet(out / "half.png", training.average.model, sets)
-        if device.type == "cuda":
-            torch.cuda.synchronize()
+        finish(device)
         say(f"ended after {training.steps} steps of {given.batch} pairs", curve)
         save(training.average.model, out / "final.safetensors")
         save(training.renderer, out / "raw.safetensors")
@@ -198,12 +210,20 @@ def main() -> None:
     given.out.mkdir(parents=True, exist_ok=True)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     if device.type == "cuda":
-        torch.backends.cudnn.benchmark = True
+        torch.backends.cudnn.benchmark = bool(given.benchmark)
         torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
     name = torch.cuda.get_device_name() if device.type == "cuda" else "CPU"
     say(f"{name}, torch {torch.__version__}, OpenCV {cv2.__version__}, {os.cpu_count()} cores")
     frames = {k: load_frames(given.frames, k, device, given.pieces) for k in KINDS}
     say("decoded " + ", ".join(f"{len(f.pictures)} of {k}" for k, f in frames.items()))
+    if given.hands:
+        network = HandNetwork(given.hands).to(device, memory_format=torch.channels_last)
+        for kind, f in frames.items():
+            f.angles, f.scores = best_turns(network, f.pictures, f.centres, f.seen)
+            there = f.seen[:, :2]
+            sure = float((f.scores > SURE)[there].float().mean())
+            say(f"{kind}: {sure:.2f} of {int(there.sum())} hands are surely seen")
+        del network
     shares = dict(zip(KINDS, map(float, given.shares.split(",")), strict=True))
     maker = PairMaker(frames, shares, backgrounds(given.frames, device), given.seed)
     sets = {}

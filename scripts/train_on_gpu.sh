@@ -22,6 +22,7 @@ if [ "$mode" = pack ]; then
   pack phantom "$phantom" 7
   python "$here/draw_backgrounds.py" "$frames"
   python "$here/pack_weights.py" "$packed" ${5:+--bundle "$5"}
+  python "$here/pack_hands.py" "$models/hand_landmark_full.tflite" "$packed/hands.safetensors"
   cp -r "$here/../mraa" "$here/../data_prep" "$packed/code"
   cp -r "$here"/{train_on_gpu.py,train_on_gpu.sh,pictures} "$packed/code/scripts"
   find "$packed/code" -name __pycache__ -prune -exec rm -r {} +
@@ -33,19 +34,21 @@ out="${1:?folder for what comes out}"
 shift
 export PYTHONPATH="$here/..:$here" PYTHONUNBUFFERED=1 TORCHINDUCTOR_CACHE_DIR="${TMPDIR:-/tmp}/inductor"
 command=(python3 "$here/train_on_gpu.py" "$packed/frames" "$packed/initial.safetensors")
+nets=(--natural "$packed/natural.safetensors")
+[ -f "$packed/hands.safetensors" ] && nets+=(--hands "$packed/hands.safetensors")
 mkdir -p "$out"
 case "$mode" in
   smoke) # speed and first gains of some settings; their weights are thrown away
     scratch="$(mktemp -d)"
     trials='[{"span": 25}, {"span": 20, "batch": 64, "rate": 0.001}, {"span": 20, "rate": 0.0015}]'
-    timeout "${LIMIT:-180}" "${command[@]}" "$scratch" --natural "$packed/natural.safetensors" \
+    timeout "${LIMIT:-180}" "${command[@]}" "$scratch" "${nets[@]}" \
       --check 100 --trials "${TRIALS:-$trials}" "$@" 2>&1 | tee "$out/smoke.txt" || true
     for trial in "$scratch"/trial*; do
       cp "$trial/final.png" "$out/$(basename "$trial").png" 2>/dev/null || true
     done
     ;;
   train)
-    exec "${command[@]}" "$out" --natural "$packed/natural.safetensors" --seconds "${LIMIT:-525}" "$@" 2>&1
+    exec "${command[@]}" "$out" "${nets[@]}" --seconds "${LIMIT:-525}" "$@" 2>&1
     ;;
   *) echo "pack, smoke or train" >&2 && exit 2 ;;
 esac

@@ -22,6 +22,9 @@ KINDS = ("signer", "avatars", "phantom")
 
 TRAIN, VALIDATION = 0, 1
 
+SURE = 0.5
+"""Score above which the hand network sees a hand."""
+
 
 @dataclass(frozen=True)
 class Pairs:
@@ -35,9 +38,15 @@ class Pairs:
     """(B, 3, 2) right hand, left hand, face of the driving frame in pixels (x, y)."""
     seen: Tensor
     """(B, 3) bool, whether they are in the picture."""
+    left: Tensor
+    """(B, 2, 2) the hands of the source frame, where something has to be painted anew."""
+    angles: Tensor
+    """(B, 2) radians, the direction in which the hand network sees each hand best."""
+    sure: Tensor
+    """(B, 2) bool, whether it surely sees it."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Frames:
     """Frames of one kind; see `pack_frames.py`."""
 
@@ -55,6 +64,9 @@ class Frames:
     pose: Tensor
     pool: Tensor
     """Training frames to draw from; those with hands twice."""
+    angles: Tensor
+    """(N, 2) and scores (N, 2) as `pictures.hands.best_turns` gives; zeros before."""
+    scores: Tensor
 
 
 def decoded(path: Path) -> np.ndarray:
@@ -115,6 +127,8 @@ def load_frames(folder: Path, kind: str, device: torch.device, pieces: int = 0) 
         there(facts["split"]),
         there(facts["pose"]),
         torch.from_numpy(np.concatenate([train, hands])).to(device),
+        torch.zeros(count, 2, device=device),
+        torch.zeros(count, 2, device=device),
     )
 
 
@@ -145,10 +159,9 @@ class PairMaker:
         counts = [round(size * self.shares[kind]) for kind in self.frames]
         counts[0] += size - sum(counts)
         parts = [self._draw(k, n) for k, n in zip(self.frames, counts, strict=True) if n > 0]
-        images = torch.cat([p[0] for p in parts])
-        centres, seen = (torch.cat([p[i] for p in parts]) for i in (1, 2))
+        images, *facts = (torch.cat(p) for p in zip(*parts, strict=True))
         source, driving = self._colours(images)
-        return Pairs(_last(source), _last(driving), centres, seen)
+        return Pairs(_last(source), _last(driving), *facts)
 
     def fixed(self, kind: str, most: int, *, from_open: bool = False) -> Pairs | None:
         """Validation pairs: the source is a clip's first frame, or its most open one."""
@@ -171,8 +184,15 @@ class PairMaker:
         if frames.matte is not None:
             images = images[:, :, :3] + (1 - images[:, :, 3:]) * (self.screen - GREY)
         source_image, driving_image = images[:, 0, :3].clamp(0, 1), images[:, 1, :3].clamp(0, 1)
-        centres, seen = frames.centres[driving], frames.seen[driving]
-        return Pairs(_last(source_image), _last(driving_image), centres, seen)
+        return Pairs(
+            _last(source_image),
+            _last(driving_image),
+            frames.centres[driving],
+            frames.seen[driving],
+            frames.centres[source, :2],
+            frames.angles[driving],
+            frames.scores[driving] > SURE,
+        )
 
     def _rand(self, *shape: int) -> Tensor:
         return torch.rand(shape, generator=self.random, device=self.device)
@@ -187,23 +207,28 @@ class PairMaker:
             return images
         return torch.cat([images, frames.matte[which][:, :, None].float() / 255], 2)
 
-    def _draw(self, kind: str, count: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Pairs (count, 2, 3, H, W), and centres and seen of the driving frames."""
+    def _draw(self, kind: str, count: int) -> tuple[Tensor, ...]:
+        """Pairs (count, 2, 3, H, W), then what `Pairs` has from `centres` on."""
         frames = self.frames[kind]
         driving = frames.pool[(self._rand(count) * len(frames.pool)).long()]
         first, length = frames.first[driving], frames.length[driving]
         step = 1 + (self._rand(count) * (length - 1)).long()
         source = first + (driving - first + step.clamp_max(length - 1)) % length
         images = self._gathered(frames, torch.stack([source, driving], 1))
-        images, centres = self._placed(images, frames.centres[driving])
+        points = torch.cat([frames.centres[driving], frames.centres[source, :2]], 1)
+        images, points, mirror = self._placed(images, points)
+        centres, left = points[:, :3], points[:, 3:]
         size = images.shape[-1]
         inside = ((centres > 4) & (centres < size - 5)).all(-1)
         if frames.matte is not None:
             images = self._before(images, centres)
-        return images, centres, frames.seen[driving] & inside
+        seen = frames.seen[driving] & inside
+        angles = frames.angles[driving] * mirror[:, None]
+        sure = (frames.scores[driving] > SURE) & seen[:, :2]
+        return images, centres, seen, left, angles, sure
 
-    def _placed(self, images: Tensor, centres: Tensor) -> tuple[Tensor, Tensor]:
-        """Mirror and cut out both frames of a pair alike."""
+    def _placed(self, images: Tensor, centres: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Mirror and cut out both frames of a pair alike; -1 for those that are mirrored."""
         count, size = len(images), images.shape[-1]
         zoomed = (self._rand(count) < 0.4).float()
         scale = 1 - zoomed * self._between(0.0, 0.18, count)
@@ -221,7 +246,7 @@ class PairMaker:
             :, None
         ]
         centres = (unit + 1) * size / 2 - 0.5
-        return moved.view(images.shape).clamp(0, 1), centres
+        return moved.view(images.shape).clamp(0, 1), centres, mirror
 
     def _before(self, images: Tensor, centres: Tensor) -> Tensor:
         """A keyed person (B, 2, 4, H, W), lit anew, before other backgrounds: (B, 2, 3, H, W)."""

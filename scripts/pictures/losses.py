@@ -6,6 +6,8 @@ one number says how much each term pulls, whatever its unit.
 
 import torch
 import torch.nn.functional as F
+from pictures.frames import Pairs
+from pictures.hands import HandNetwork, hand_distance
 from torch import Tensor, nn
 from torch.nn.utils.parametrizations import spectral_norm
 
@@ -36,11 +38,16 @@ def parts_of(images: Tensor, centres: Tensor) -> Tensor:
     return found.contiguous(memory_format=torch.channels_last)
 
 
-def places(centres: Tensor, seen: Tensor, size: int, random: torch.Generator) -> Tensor:
-    """Whole centres (B, 3, 2) of parts that lie inside: of hands and face, anywhere if unseen."""
+def places(pairs: Pairs, random: torch.Generator) -> Tensor:
+    """Whole centres (B, 5, 2) of parts that lie inside.
+
+    Of the hands and the face (anywhere if unseen), then of where the source's hands were.
+    """
+    size = pairs.source.shape[-1]
+    centres = pairs.centres
     anywhere = torch.rand(centres.shape, generator=random, device=centres.device) * size
-    chosen = torch.where(seen[..., None], centres, anywhere)
-    return chosen.round().clamp(CROP // 2, size - CROP // 2)
+    chosen = torch.where(pairs.seen[..., None], centres, anywhere)
+    return torch.cat([chosen, pairs.left], 1).round().clamp(CROP // 2, size - CROP // 2)
 
 
 class Critic(nn.Module):
@@ -69,16 +76,15 @@ class Critic(nn.Module):
 
 
 def classes_of(batch: int, device: torch.device) -> Tensor:
-    """Classes (B * 5, CLASSES) of two hands, a face and two places of every image."""
-    kinds = torch.tensor([0, 0, 1, 2, 2], device=device)
+    """Classes (B * 6, CLASSES) of two hands, a face, two places left and one anywhere."""
+    kinds = torch.tensor([0, 0, 1, 2, 2, 2], device=device)
     return F.one_hot(kinds, CLASSES).float().repeat(batch, 1)
 
 
 def critic_places(chosen: Tensor, size: int, random: torch.Generator) -> Tensor:
-    """Centres (B, 5, 2): those of hands and face, and two anywhere."""
-    span = size - CROP
-    any_place = torch.rand(len(chosen), 2, 2, generator=random, device=chosen.device)
-    return torch.cat([chosen, (any_place * span).round() + CROP // 2], 1)
+    """Centres (B, 6, 2): those that `places` gave, and one anywhere."""
+    any_place = torch.rand(len(chosen), 1, 2, generator=random, device=chosen.device)
+    return torch.cat([chosen, (any_place * (size - CROP)).round() + CROP // 2], 1)
 
 
 class PictureLoss(nn.Module):
@@ -86,17 +92,26 @@ class PictureLoss(nn.Module):
 
     Args:
         natural: distance in features of natural pictures; None to do without.
+        hands: a network that sees hands; None to do without.
         width: of the random network of the multi-scale loss.
     """
 
-    def __init__(self, natural: ImagenetDistance | None, width: int = 16) -> None:
+    def __init__(
+        self, natural: ImagenetDistance | None, hands: HandNetwork | None, width: int = 16
+    ) -> None:
         super().__init__()
+        self.hands = hands
         self.multi = PerceptualPyramid("random_vgg+lap", "", width, (0.5, 0.25, 0.125), 10.0)
         self.natural = natural
         self.pyramid = ImagePyramid()
 
-    def forward(self, image: Tensor, truth: Tensor, centres: Tensor) -> dict[str, Tensor]:
-        """Terms of images (B, 3, H, W) whose parts of interest lie around `centres`."""
+    def forward(
+        self, image: Tensor, truth: Tensor, centres: Tensor, hands: tuple[Tensor, Tensor, Tensor]
+    ) -> dict[str, Tensor]:
+        """Terms of images (B, 3, H, W) whose parts of interest lie around `centres`.
+
+        `hands` is what `hand_distance` wants to know.
+        """
         terms = {"multi": self.multi(image, truth)}
         parts, wanted = parts_of(image, centres), parts_of(truth, centres)
         terms["parts"] = bands_distance(self.pyramid(parts), self.pyramid(wanted))
@@ -107,6 +122,8 @@ class PictureLoss(nn.Module):
                 for x in (parts, wanted)
             ]
             terms["natural_parts"] = self.natural(*large)
+        if self.hands is not None:
+            terms["hands"] = hand_distance(self.hands, image, truth, hands)
         return terms
 
 

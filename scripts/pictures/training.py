@@ -5,14 +5,18 @@ The critic's and the losses' gradients at the picture are scaled to parts of the
 
 import argparse
 import copy
+import dataclasses
 import json
 import math
 from collections.abc import Iterable
+from contextlib import nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 from pictures.frames import PairMaker, Pairs
+from pictures.hands import HandNetwork
 from pictures.losses import (
     Critic,
     PictureLoss,
@@ -30,8 +34,11 @@ from mraa.blocks import PostResBlock
 from mraa.imagenet import ImagenetDistance, load_imagenet
 from mraa.renderer import GeneratorConfig, HourglassConfig, Renderer, RendererConfig
 
-PULLS = {"parts": 0.6, "natural": 1.5, "natural_parts": 1.2}
+PULLS = {"parts": 0.6, "natural": 1.5, "natural_parts": 1.2, "hands": 0.8}
 """Size of each term's gradient at the picture, in parts of the multi-scale loss's."""
+
+EAGER = 12
+"""Steps of each kind before they are captured as a graph; the first find the terms' weights."""
 
 HAND_BOX = 48
 """Side in pixels of the boxes around hands that are measured."""
@@ -115,6 +122,33 @@ def scores(image: Tensor, pairs: Pairs) -> tuple[float, float]:
     return float(whole), float(hands)
 
 
+@dataclass
+class Inputs:
+    """Everything random about a step; the tensors of a captured step are filled anew."""
+
+    source: Tensor
+    driving: Tensor
+    places: Tensor
+    critic_places: Tensor
+    hands: Tensor
+    angles: Tensor
+    sure: Tensor
+
+    def fill(self, other: "Inputs") -> None:
+        """Copy another step's."""
+        for field in dataclasses.fields(self):
+            getattr(self, field.name).copy_(getattr(other, field.name))
+
+
+@dataclass
+class Captured:
+    """A step's gradients as one CUDA graph."""
+
+    graph: torch.cuda.CUDAGraph
+    inputs: Inputs
+    gradients: list[tuple[Tensor, Tensor]]
+
+
 class Training:
     """Everything that a course of training holds."""
 
@@ -131,24 +165,29 @@ class Training:
         layout = torch.channels_last
         self.renderer = begin(self.config, given.initial).to(device, memory_format=layout)
         natural = ImagenetDistance(load_imagenet(given.natural)) if given.natural else None
-        self.loss = PictureLoss(natural).to(device, memory_format=layout)
+        hands = HandNetwork(given.hands) if given.hands else None
+        self.loss = PictureLoss(natural, hands).to(device, memory_format=layout)
         self.loss.requires_grad_(False)
         self.critic = Critic().to(device, memory_format=layout)
-        learning = [
+        self.learning = [
             *self.renderer.flow.parameters(),
             *self.renderer.background.parameters(),
             *self.renderer.generator.parameters(),
         ]
         self.renderer.estimator.requires_grad_(False)
-        self.learning = learning
-        self.optimizer = self._adam(learning, given.rate, 0.5)
+        self.optimizer = self._adam(self.learning, given.rate, 0.5)
         self.critic_optimizer = self._adam(self.critic.parameters(), given.rate, 0.0)
         self.average = Average(self.renderer)
         self.weights: dict[str, Tensor] = {}
         self.pulls: dict[str, Tensor] = {}
         self.classes = classes_of(given.batch, device)
+        self.strength = torch.zeros((), device=device)
         self.steps = 0
         self.seen: dict[str, Tensor] = {}
+        self.eager = {False: 0, True: 0}
+        self.captured: dict[bool, Captured] = {}
+        self.graphs = bool(given.graphs) and device.type == "cuda"
+        self.stream = torch.cuda.Stream() if device.type == "cuda" else None
 
     def _adam(self, parameters: Iterable[Tensor], rate: float, first: float) -> torch.optim.Adam:
         fused = self.device.type == "cuda"
@@ -156,7 +195,8 @@ class Training:
 
     def autocast(self) -> torch.autocast:
         """bfloat16 for convolutions, but on a CPU, where gradients in it are slow."""
-        return torch.autocast(self.device.type, torch.bfloat16, self.device.type == "cuda")
+        cuda = self.device.type == "cuda"
+        return torch.autocast(self.device.type, torch.bfloat16, cuda, cache_enabled=False)
 
     def modes(self) -> None:
         """Norms learn, but for the regions' ones."""
@@ -164,97 +204,139 @@ class Training:
         self.renderer.estimator.eval()
 
     def step(self, progress: float) -> None:
-        """One step of the optimisers."""
-        given, renderer = self.given, self.renderer
+        """One step of the optimisers, `progress` of the way through the training."""
+        given = self.given
         ramp = min(1.0, self.steps / 60)
         rate = ramp * (0.5 * (1 + math.cos(math.pi * progress)) * 0.98 + 0.02)
         for group in self.optimizer.param_groups:
             group["lr"] = given.rate * rate
-        pairs = self.maker.batch(given.batch)
+        for group in self.critic_optimizer.param_groups:
+            group["lr"] = given.critic_rate * min(1.0, 2 * (1 - progress) + 0.1)
+        critic = given.critic > 0 and progress > given.critic_from - 0.05
+        with torch.cuda.stream(self.stream) if self.stream else nullcontext():
+            self.strength.fill_(min(1.0, max(0.0, (progress - given.critic_from) / 0.08)))
+            inputs = self._inputs()
+            if self.graphs and self.eager[critic] >= EAGER:
+                self._replay(inputs, critic)
+            else:
+                self._gradients(inputs, critic)
+                self.eager[critic] += 1
+            self._note(norm=nn.utils.clip_grad_norm_(self.learning, given.clip))
+            self.optimizer.step()
+            if critic:
+                self.critic_optimizer.step()
+            self.average.update()
+        self.steps += 1
+
+    def _inputs(self) -> Inputs:
+        pairs = self.maker.batch(self.given.batch)
+        chosen = places(pairs, self.maker.random)
+        more = critic_places(chosen, pairs.source.shape[-1], self.maker.random)
+        hands = pairs.centres[:, :2]
+        return Inputs(
+            pairs.source, pairs.driving, chosen, more, hands, pairs.angles, pairs.sure.float()
+        )
+
+    def _replay(self, inputs: Inputs, critic: bool) -> None:
+        """The gradients of a step by its graph, which the first call captures."""
+        if critic not in self.captured:
+            own = Inputs(**{k: v.clone() for k, v in vars(inputs).items()})
+            torch.cuda.synchronize()
+            graph = torch.cuda.CUDAGraph()
+            try:
+                with torch.cuda.graph(graph, stream=self.stream):
+                    self._gradients(own, critic)
+            except Exception as error:
+                print(f"no graph: {type(error).__name__}: {str(error)[:300]}", flush=True)
+                self.graphs = False
+                torch.cuda.synchronize()
+                self._gradients(inputs, critic)
+                return
+            owners = [*self.learning, *(self.critic.parameters() if critic else ())]
+            gradients = [(p, p.grad) for p in owners if p.grad is not None]
+            self.captured[critic] = Captured(graph, own, gradients)
+        captured = self.captured[critic]
+        captured.inputs.fill(inputs)
+        for parameter, gradient in captured.gradients:
+            parameter.grad = gradient
+        captured.graph.replay()
+
+    def _gradients(self, inputs: Inputs, critic: bool) -> None:
+        """Gradients of the renderer and, with `critic`, of the critic, into their parameters."""
+        given, renderer, generator = self.given, self.renderer, self.renderer.generator
+        self.optimizer.zero_grad(set_to_none=True)
+        self.critic_optimizer.zero_grad(set_to_none=True)
+        source, driving = inputs.source, inputs.driving
         with self.autocast():
             with torch.no_grad():
-                both = renderer.estimator(torch.cat([pairs.source, pairs.driving]))
-            count = len(pairs.source)
-            background = renderer.background(pairs.source, pairs.driving)
-            flow = renderer.flow(pairs.source, both[:count], both[count:], background)
-            features = renderer.generator.encode(pairs.source)
-            painted = renderer.generator.paint(features, flow)
-            image = renderer.generator.blend(pairs.source, painted, flow).float()
-            shown = renderer.generator.shown(painted, flow).float()
-            small = renderer.flow.down(pairs.driving)
-            blend = given.blend * self.loss.multi(flow.blend, small)
+                both = renderer.estimator(torch.cat([source, driving]))
+            count = len(source)
+            background = renderer.background(source, driving)
+            flow = renderer.flow(source, both[:count], both[count:], background)
+            painted = generator.paint(generator.encode(source), flow)
+            image = generator.blend(source, painted, flow).float()
+            shown = generator.shown(painted, flow).float()
+            blend = given.blend * self.loss.multi(flow.blend, renderer.flow.down(driving))
         hidden = given.occlusion_cost * (1 - shown).mean()
         leaf = image.detach().requires_grad_()
-        size = image.shape[-1]
-        centres = places(pairs.centres, pairs.seen, size, self.maker.random)
-        gradient = self._pull(leaf, pairs.driving, centres)
-        if given.critic > 0 and progress > given.critic_from - 0.05:
-            more = self._critic(leaf, pairs.driving, centres, progress, gradient)
-            gradient = gradient if more is None else gradient + more
-        self.optimizer.zero_grad(set_to_none=True)
+        gradient = self._pull(leaf, inputs)
+        if critic:
+            gradient = gradient + self._critic(leaf, inputs, gradient)
         torch.autograd.backward([image, blend + hidden], [gradient, None])
-        norm = nn.utils.clip_grad_norm_(self.learning, given.clip)
-        self.optimizer.step()
-        self.average.update()
-        self.steps += 1
-        error = (leaf.detach() - pairs.driving).abs().mean()
-        self._note(blend=blend, hidden=hidden, norm=norm, l1=error, shown=shown.mean())
+        error = (leaf.detach() - driving).abs().mean()
+        self._note(blend=blend, hidden=hidden, l1=error, shown=shown.mean())
 
     def _note(self, **values: Tensor) -> None:
         for name, value in values.items():
-            value = value.detach()
-            old = self.seen.get(name)
-            self.seen[name] = value if old is None else torch.lerp(old, value, 0.05)
+            value = value.detach().float()
+            if name in self.seen:
+                self.seen[name].lerp_(value, 0.05)
+            else:
+                self.seen[name] = value.clone()
 
-    def _pull(self, leaf: Tensor, truth: Tensor, centres: Tensor) -> Tensor:
+    def _pull(self, leaf: Tensor, inputs: Inputs) -> Tensor:
         """Gradient of all terms at the picture; the first steps find their weights."""
+        where = (inputs.hands, inputs.angles, inputs.sure)
         with self.autocast():
-            terms = self.loss(leaf, truth, centres)
-        if self.steps < 12:
+            terms = self.loss(leaf, inputs.driving, inputs.places, where)
+        if self.steps < EAGER:
             gradients = {
                 k: torch.autograd.grad(v, leaf, retain_graph=True)[0] for k, v in terms.items()
             }
             for name, pull in PULLS.items():
                 if name in gradients:
-                    wanted = pull * gradients["multi"].norm() / gradients[name].norm()
+                    size = gradients[name].norm()  # 0 where no pair has a hand that is seen
+                    wanted = pull * gradients["multi"].norm() / size.clamp_min(1e-12)
                     old = self.weights.get(name, wanted)
+                    wanted = torch.where(size > 0, wanted, old)
                     self.weights[name] = torch.lerp(old, wanted, 1 / (1 + self.steps))
         weighted = [v * self.weights[k] if k in self.weights else v for k, v in terms.items()]
         self._note(**terms)
         return torch.autograd.grad(torch.stack(weighted).sum(), leaf)[0]
 
-    def _critic(
-        self, leaf: Tensor, truth: Tensor, centres: Tensor, progress: float, pull: Tensor
-    ) -> Tensor | None:
-        """Teach the critic; its pull at the picture once it has learnt a little."""
-        given, size = self.given, leaf.shape[-1]
-        where = critic_places(centres, size, self.maker.random)
-        true = parts_of(truth, where)
+    def _critic(self, leaf: Tensor, inputs: Inputs, pull: Tensor) -> Tensor:
+        """The critic's gradients into its parameters; its pull at the picture is returned."""
+        given = self.given
+        true = parts_of(inputs.driving, inputs.critic_places)
         with self.autocast():
-            made = parts_of(leaf.detach(), where)
+            made = parts_of(leaf.detach(), inputs.critic_places)
             loss = critic_loss(self.critic, made, true, self.classes)
-        for group in self.critic_optimizer.param_groups:
-            group["lr"] = given.critic_rate * min(1.0, 2 * (1 - progress) + 0.1)
-        self.critic_optimizer.zero_grad(set_to_none=True)
         loss.backward()
-        self.critic_optimizer.step()
         self._note(critic=loss)
-        strength = min(1.0, (progress - given.critic_from) / 0.08)
-        if strength <= 0:
-            return None
-        self.critic.requires_grad_(False)
         with self.autocast():
-            terms = painter_terms(self.critic, parts_of(leaf, where), true, self.classes)
+            made = parts_of(leaf, inputs.critic_places)
+            terms = painter_terms(self.critic, made, true, self.classes)
         total = torch.zeros_like(leaf)
         names = {"fool": given.critic, "alike": given.alike}
         for i, (name, share) in enumerate(names.items()):
             gradient = torch.autograd.grad(terms[i], leaf, retain_graph=i == 0)[0]
             ratio = pull.norm() / gradient.norm().clamp_min(1e-12)
-            ratio = torch.lerp(self.pulls.get(name, ratio), ratio, 0.05)
-            self.pulls[name] = ratio
-            total += strength * share * ratio * gradient
+            if name in self.pulls:
+                self.pulls[name].lerp_(ratio, 0.05)
+            else:
+                self.pulls[name] = ratio.clone()
+            total = total + self.strength * share * self.pulls[name] * gradient
             self._note(**{name: terms[i]})
-        self.critic.requires_grad_(True)
         return total
 
     def refresh_norms(self, batches: int) -> Renderer:
