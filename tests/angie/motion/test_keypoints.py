@@ -4,31 +4,17 @@ import contextlib
 import json
 import shutil
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from lightning_fabric import Fabric
 
 from angie.bundle import BUNDLE, Bundle
 from angie.cli import main
-from angie.config import override
-from angie.generators.angie.family import FAMILY
-from angie.generators.stages import StageContext
 from angie.motion.keypoints import KeypointDataset, read_points, read_rate, resample
 from angie.parts import describe
-from angie.training import Trainer
 from data_prep.errors import BadInput
-from data_prep.media.audio import write_wav
-from mraa.training.run import RunConfig
 
 JOINTS, FPS = 3, 15
-TINY = (
-    "vq.width=8 vq.codes=16 vq.code_width=8 gpt.codes=16 gpt.width=16 gpt.heads=2 gpt.layers=1 "
-    "refiner.sound=8 refiner.motion=8 refiner.hidden=8 "
-    "train_vq.schedule.most_steps=4 train_gpt.schedule.most_steps=4 "
-    "train_refiner.schedule.most_steps=4"
-).split()
 
 
 def call(capsys, *arguments):
@@ -41,58 +27,6 @@ def call(capsys, *arguments):
         sys.argv = old
     captured = capsys.readouterr()
     return status, captured.out, captured.err
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    """Twelve clips of six seconds at 15 frames a second, in pixels."""
-    folder = tmp_path_factory.mktemp("joints") / "data"
-    (folder / "motion").mkdir(parents=True)
-    (folder / "audio").mkdir()
-    rows = ["clip,speaker,split,fps"]
-    rng = np.random.default_rng(0)
-    for number in range(12):
-        name, frames = f"c{number}", 6 * FPS
-        points = np.array([[100.0, 50], [60, 120], [140, 120]]) + rng.normal(size=(frames, 3, 2))
-        points[:, 1:, 1] += 20 * np.sin(np.arange(frames) / 4 + number)[:, None]
-        if number % 2:
-            np.save(folder / "motion" / f"{name}.npy", points.astype(np.float32))
-        else:
-            np.savez(folder / "motion" / f"{name}.npz", points=points)
-        sound = 0.1 * rng.normal(size=6 * 16_000) * (np.arange(6 * 16_000) // 8000 % 2)
-        write_wav(folder / "audio" / f"{name}.wav", sound, 16_000)
-        rows.append(
-            f"{name},{'ada' if number % 2 else 'bob'},{'test' if number > 9 else 'train'},{FPS}"
-        )
-    (folder / "clips.csv").write_text("\n".join(rows) + "\n")
-    return folder
-
-
-@pytest.fixture(scope="module")
-def model(data):
-    folder = data.parent / "model"
-    old, sys.argv = (
-        sys.argv,
-        [
-            "angie",
-            "train",
-            str(data),
-            "-o",
-            str(folder),
-            "--preset",
-            "tiny",
-            "--device",
-            "cpu",
-            *TINY,
-        ],
-    )
-    try:
-        main()
-    except SystemExit as leave:
-        assert not leave.code
-    finally:
-        sys.argv = old
-    return folder
 
 
 def test_the_index_and_the_arrays_are_read(data, tmp_path):
@@ -327,97 +261,24 @@ def test_bad_requests_leave_nothing_behind(model, data, tmp_path, capsys):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["huge.npy", "other.npy"]
 
 
-def test_clips_that_are_too_short_are_told_with_their_folder(data, tmp_path, capsys):
+def test_clips_that_are_too_short_are_told_with_their_folder(data, tmp_path, capsys, tiny):
     folder = tmp_path / "short"
     shutil.copytree(data, folder)
     for path in (folder / "motion").iterdir():
         points = read_points(path)[: 2 * FPS]
         path.unlink()
         np.save(path.with_suffix(".npy"), points)
-    arguments = ["-o", tmp_path / "model", "--preset", "tiny", "--device", "cpu", *TINY]
+    arguments = ["-o", tmp_path / "model", "--preset", "tiny", "--device", "cpu", *tiny]
     status, _, error = call(capsys, "train", folder, *arguments)
     assert status == 2 and f"{folder}: no training clip has 96 frames" in error
     assert not (tmp_path / "model").exists()
 
 
-def test_an_unreadable_recording_leaves_no_bundle(data, tmp_path, capsys):
+def test_an_unreadable_recording_leaves_no_bundle(data, tmp_path, capsys, tiny):
     folder = tmp_path / "data"
     shutil.copytree(data, folder)
     (folder / "audio" / "c7.wav").write_bytes(b"no sound")
-    arguments = ["-o", tmp_path / "model", "--preset", "tiny", "--device", "cpu", *TINY]
+    arguments = ["-o", tmp_path / "model", "--preset", "tiny", "--device", "cpu", *tiny]
     status, _, error = call(capsys, "train", folder, *arguments)
     assert status == 2 and "c7.wav" in error and error.count("\n") == 1
     assert not (tmp_path / "model").exists()
-
-
-def context_of(model, data, cache, stage, **changes):
-    """What a stage of angie is given, with some settings of its training of the GPT changed."""
-    bundle = Bundle.open(model)
-    bundle.preset = override(bundle.preset, {"train_gpt": changes} if changes else {})
-    trainer = Trainer(
-        KeypointDataset(data, cache), bundle, 0, RunConfig(), False, Fabric(accelerator="cpu")
-    )
-    return trainer.context(FAMILY, FAMILY.stage(stage))
-
-
-def test_other_grids_are_another_training_of_the_gpt_alone(model, data, tmp_path):
-    stages = ("vq", "gpt", "refiner")
-    before, after = (
-        [context_of(model, data, tmp_path, stage, **changes).run.identity for stage in stages]
-        for changes in ({}, {"grids": 4})
-    )
-    assert [a == b for a, b in zip(before, after, strict=True)] == [True, False, True]
-
-
-def test_the_gpt_and_what_stands_in_its_place_learn_on_the_grids_asked_for(
-    model, data, tmp_path, monkeypatch
-):
-    asked = []
-
-    def windows(self, stride, grids=1):
-        asked.append((stride, grids))
-        raise InterruptedError
-
-    monkeypatch.setattr(StageContext, "windows", windows)
-    for quant, stage in (("full", "gpt"), ("full", "vq"), ("no_quant", "vq")):
-        context = context_of(model, data, tmp_path, stage, grids=4, stride=16)
-        settings = context.settings
-        context.settings = replace(settings, vq=replace(settings.vq, quant=quant))
-        with pytest.raises(InterruptedError):
-            FAMILY.stage(stage).train(context)
-    assert asked == [(16, 4), (settings.train_vq.stride, 1), (16, 4)]
-
-
-def test_the_recording_of_a_clip_is_the_one_of_its_name(data, tmp_path):
-    folder = tmp_path / "data"
-    shutil.copytree(data, folder)
-    audio = folder / "audio"
-    shutil.copy(audio / "c1.wav", audio / "c0.b.wav")  # of another clip, "c0.b"
-    (audio / "c0.TextGrid").touch()
-    joints = KeypointDataset(folder, tmp_path / "cache")
-    assert np.array_equal(joints.sound("c0"), KeypointDataset(data, tmp_path).sound("c0"))
-    before = joints.digest
-    shutil.copy(audio / "c1.wav", audio / "c0.wav")
-    assert KeypointDataset(folder, tmp_path / "cache").digest != before
-    (audio / "c0.mp3").touch()
-    with pytest.raises(BadInput, match="c0.mp3 and c0.wav; leave one"):
-        joints.sound("c0")
-
-
-def test_weights_are_chosen_by_the_validation_split_where_there_is_one(model, data, tmp_path):
-    def names(folder, grids=1):
-        context = context_of(model, folder, tmp_path / "cache", "gpt")
-        return [[clip.name for clip in windows.clips] for windows in context.windows(32, grids)]
-
-    learnt, kept = names(data, grids=2)
-    assert learnt == [*(f"c{n}" for n in range(9)), *(f"c{n}+4" for n in range(9))]
-    assert kept == ["c9"]
-    learnt, kept = names(data)
-    assert (learnt, kept) == ([f"c{n}" for n in range(9)], ["c9"])  # every tenth
-    shutil.copytree(data, tmp_path / "data")
-    index = tmp_path / "data" / "clips.csv"
-    index.write_text(index.read_text().replace("c3,ada,train", "c3,ada,val"))
-    learnt, kept = names(tmp_path / "data")
-    assert kept == ["c3"] and len(learnt) == 9 and "c9" in learnt and "c3" not in learnt
-    index.write_text(index.read_text().replace("c5,ada,train", "c5,zoe,val"))
-    assert names(tmp_path / "data")[1] == ["c3"]  # zoe has no style that was learnt
