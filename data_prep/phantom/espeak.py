@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from data_prep.errors import BadInput
+from data_prep.phantom.phones import DATA
 from data_prep.phantom.presenters import Voice
 from data_prep.phantom.script import LEXICON, Phrase
 from data_prep.phantom.speech import CONTROL, LEAD, RATE, ROOM, Speech, Word, whole_frames
@@ -30,18 +31,6 @@ _WORDS_A_MINUTE = 138
 
 _VOWELS = "aAeEiIoO0uUV3@"
 """First letters of the library's names of vowels."""
-
-_OPEN = {
-    "a": 1.0, "A": 1.0, "0": 0.85, "O": 0.8, "V": 0.75, "E": 0.7, "e": 0.6, "o": 0.6, "3": 0.45,
-    "@": 0.4, "I": 0.4, "U": 0.4, "i": 0.25, "u": 0.25, "p": 0.0, "b": 0.0, "m": 0.0, "f": 0.08,
-    "v": 0.08, "_": 0.0,
-}  # fmt: skip
-"""Opening of the mouth by the first letter of a phone, 0.15 for others."""
-
-_SPREAD = {"i": 1.0, "I": 0.9, "e": 0.9, "E": 0.8, "a": 0.6, "o": 0.1, "O": 0.1, "u": 0.05,
-           "U": 0.15, "w": 0.0, "r": 0.2}  # fmt: skip
-"""Spread of the lips by the first letter of a phone, 0.55 for others."""
-
 
 _NAMES = ("libespeak-ng.so.1", "libespeak-ng.so", "libespeak-ng.1.dylib", "libespeak-ng.dll")
 _SYNCHRONOUS, _PHONEME_EVENTS, _UTF8 = 2, 1, 1
@@ -259,8 +248,8 @@ def _mouth(said: list[_Said], at: list[float], count: int) -> tuple[NDArray, NDA
         ends = np.append(phrase.phone_at[1:], len(phrase.samples) / RATE)
         for name, start, end in zip(phrase.phone, phrase.phone_at, ends, strict=True):
             inside = (ticks >= now + start) & (ticks < now + end)
-            opening[inside] = _OPEN.get(name[:1], 0.15)
-            spread[inside] = _SPREAD.get(name[:1], 0.55)
+            opening[inside] = DATA["espeak"]["open"].get(name[:1], 0.15)
+            spread[inside] = DATA["espeak"]["spread"].get(name[:1], 0.55)
     smooth = 0.03 * CONTROL
     return gaussian_filter1d(opening, smooth), gaussian_filter1d(spread, smooth)
 

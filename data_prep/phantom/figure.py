@@ -26,10 +26,6 @@ _LOOSE = {"blazer": 1.14, "sweater": 1.12, "shirt": 1.08}
 _GRAINS = 5
 
 
-def _homogeneous(matrix: NDArray) -> NDArray:
-    return np.concatenate([matrix, [[0.0, 0.0, 1.0]]])
-
-
 def _paste(picture: Array, sprite: NDArray[np.uint8], matrix: NDArray) -> None:
     """Lay a sprite over the picture (3, H, W) by an affine (2, 3) from sprite to picture pixels."""
     h, w = sprite.shape[:2]
@@ -128,7 +124,7 @@ class Figure:
         origin = to_picture(np.zeros(2), np.ones(()), self.place, WIDTH)
         z = self.place.zoom
         picture = np.array([[z, 0, origin[0]], [0, z, origin[1]]])
-        matrix = picture @ _homogeneous(transform) @ units
+        matrix = picture @ np.concatenate([transform, [[0.0, 0.0, 1.0]]]) @ units
         matrix[:, 2] = self._placed(matrix[:, 2])
         matrix[:, :2] *= self.scale
         return matrix

@@ -100,13 +100,10 @@ def _choice(style: Style, before: str, rng: np.random.Generator) -> str:
     return str(rng.choice(FREE, p=weight / weight.sum()))
 
 
-def _travel(a: Place, b: Place) -> float:
-    return float(np.linalg.norm(np.subtract(a, b)))
-
-
 def _stroke_time(template: Template, style: Style) -> float:
     """Seconds from preparation to apex: 0.18 to 0.42, longer for longer paths."""
-    path = _travel(template.prep, template.apex) + 0.8 * float(np.abs(template.bulge).sum())
+    path = float(np.linalg.norm(np.subtract(template.prep, template.apex)))
+    path += 0.8 * float(np.abs(template.bulge).sum())
     return float(np.clip((0.17 + 0.0016 * path) / style.quickness, 0.18, 0.42))
 
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data_prep.errors import BadInput
+from data_prep.errors import BadInput, check_choice
 from data_prep.files import whole_file
 from data_prep.media.writer import VideoWriter
 from data_prep.phantom import espeak
@@ -66,8 +66,7 @@ def voice_named(name: str) -> str:
     Raises:
         BadInput: another name, or eSpeak NG is asked for and not installed.
     """
-    if name not in VOICES:
-        raise BadInput(f"--voice {name}: choose from {', '.join(VOICES)}")
+    check_choice("--voice", name, VOICES)
     if name == "espeak" and not espeak.installed():
         raise BadInput("--voice espeak: not found; install the package espeak-ng or use builtin")
     if name == "auto":

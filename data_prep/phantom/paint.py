@@ -114,13 +114,11 @@ def lambert(height: Array, light: tuple[float, float, float], ambient: float = 0
     return (ambient + (1 - ambient) * np.maximum(facing, 0) / light[2]).astype(np.float32)
 
 
-def over(base: Array, colour: NDArray | tuple[float, float, float], mask: Array) -> None:
-    """Lay a colour, (3,) or (H, W, 3), over `base` (H, W, 3) in place where `mask` (H, W) says."""
-    base += (np.asarray(colour, np.float32) - base) * mask[..., None]
-
-
 def cover(sprite: Array, colour: NDArray | tuple[float, float, float], mask: Array) -> None:
-    """`over` for a sprite (H, W, 4) whose fourth channel is coverage, not premultiplied."""
+    """Lay a colour, (3,) or (H, W, 3), over a sprite in place where `mask` (H, W) says.
+
+    The sprite is (H, W, 4); its fourth channel is coverage, not premultiplied.
+    """
     old = sprite[..., 3]
     new = mask + old * (1 - mask)
     share = mask / np.maximum(new, 1e-4)

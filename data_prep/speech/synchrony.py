@@ -103,8 +103,3 @@ def matches(motion: NDArray, sound: NDArray, near: float = NEAR) -> int:
             matched += 1
             free += int(candidates[0]) + 1
     return matched
-
-
-def matched_beats(motion: NDArray, sound: NDArray, near: float = NEAR) -> float:
-    """Percentage of `matches` among the motion beats (m,), m above 0."""
-    return 100 * matches(motion, sound, near) / len(motion)

@@ -15,7 +15,7 @@ from data_prep.phantom.make import Take, make_phantom, still, take, truth, voice
 from data_prep.phantom.motion import minimum_jerk
 from data_prep.phantom.presenters import presenter
 from data_prep.phantom.script import TRIGGERS
-from data_prep.phantom.skeleton import FOREARM, JOINTS, UPPER_ARM, elbow, stroke_start
+from data_prep.phantom.skeleton import FOREARM, JOINTS, UPPER_ARM, elbow
 from data_prep.rates import FPS
 from data_prep.speaker.crop import find_faces
 
@@ -70,14 +70,14 @@ def test_every_stroke_lands_within_a_frame_of_its_beat(shots: list[Take]) -> Non
             assert fast[near].min() < 0.2 * fast[first : last + 1].max(), stroke
 
 
-def test_strokes_start_within_a_frame_of_the_stated_time(shots: list[Take]) -> None:
+def test_strokes_start_within_a_frame_of_the_stated_time(shots: list[Take], scoring) -> None:
     away = []
     for shot in shots:
         known = truth(shot, 3)
         for hand, onset, prepared in zip(
             *(known[f"stroke_{name}"] for name in ("hand", "onset", "prepared")), strict=True
         ):
-            away.append(abs(stroke_start(known["joints"], hand, onset, prepared) - onset))
+            away.append(abs(scoring.stroke_start(known["joints"], hand, onset, prepared) - onset))
     assert len(away) >= 20
     assert np.mean(np.array(away) <= 1 / FPS) >= 0.95
 
