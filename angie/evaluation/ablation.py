@@ -1,8 +1,7 @@
 """The ablations of the paper's Table 3: train each variant on a dataset, score all, one table.
 
-A variant is a setting (`vq.quant`, `generation.refine`); everything else is shared, the renderer
-and the region motion first of all. Each variant is a whole bundle in the folder, which
-`angie animate` can use.
+A variant is a setting of the generator; everything else is shared, the renderer and the region
+motion first of all. Each variant is a whole bundle in the folder, which `angie animate` can use.
 """
 
 import json

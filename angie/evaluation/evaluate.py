@@ -16,10 +16,9 @@ from angie.evaluation.images import Driver, FrameJudge, score_pictures
 from angie.evaluation.joints import true_joints
 from angie.evaluation.networks import (
     EvaluationConfig,
-    check_perceptual,
+    check_networks,
     find_autoencoder,
     make_frame_judge,
-    stored_autoencoder,
 )
 from angie.evaluation.rows import (
     TRUE_REGIONS,
@@ -76,10 +75,7 @@ def evaluate(
     check_apart(output, [dataset, *bundles])
     data = Dataset(dataset)
     groups = [(group, systems(group, generator)) for group in _grouped(bundles)]
-    check_perceptual(config)
-    if config.fgd is not None:  # before minutes of work
-        for _, entered in groups:
-            stored_autoencoder(config.fgd, entered[0].bundle.hash_of("renderer"))
+    check_networks(config, *(entered[0].bundle.hash_of("renderer") for _, entered in groups))
     joints = {} if config.truth is None else true_joints(data, config.truth)
     with whole_folder(output, mark=report.MARK, force=force) as part:
         spaces = []
@@ -156,16 +152,9 @@ def score_space(
 ) -> dict[str, Any]:
     """Everything the report tells of one space; its networks and videos go into `folder`.
 
-    Args:
-        data: the clips, with their frames where pictures are drawn.
-        space: their motion.
-        rows: the ground truth first.
-        bundles: those that the report describes, by name.
-        folder: of the report.
-        number: of the space in the report.
-        config: how.
-        pictures: what is drawn; None for nothing.
-        shown: name of the clip whose activity is plotted; None for the first speaker's first.
+    `data`: the clips, with their frames where pictures are drawn. `rows`: the ground truth first.
+    `number`: of the space in the report. `shown`: name of the clip whose activity is plotted; None
+    for the first speaker's first.
     """
     model, scale, origin = find_autoencoder(space, folder, number, config)
     judge = make_judge(space, model, scale)

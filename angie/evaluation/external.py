@@ -16,7 +16,7 @@ from angie.evaluation import report
 from angie.evaluation.evaluate import Pictures, finish, score_space
 from angie.evaluation.images import FrameJudge, FrameScores, compare, pick, read_chosen
 from angie.evaluation.joints import true_joints
-from angie.evaluation.networks import EvaluationConfig, check_perceptual, stored_autoencoder
+from angie.evaluation.networks import EvaluationConfig, check_networks
 from angie.evaluation.rows import Performance, Row, baselines, row_names
 from angie.evaluation.space import RegionSpace, onsets_within, open_space
 from angie.evaluation.videos import padded, write_video
@@ -127,11 +127,7 @@ def evaluate_videos(
         device: torch device of the estimator.
         force: replace a report that exists.
 
-    Returns:
-        the content of results.json.
-
-    Raises:
-        BadInput: an input that cannot be used; nothing is left behind.
+    Returns and raises what `angie.evaluation.evaluate.evaluate` does.
     """
     config = config or EvaluationConfig()
     check_apart(output, [folder, reference, bundle_folder])
@@ -143,9 +139,7 @@ def evaluate_videos(
         raise BadInput(f"{folder}: holds no videos")
     for path in paths:
         check_square(path)
-    check_perceptual(config)
-    if config.fgd is not None:
-        stored_autoencoder(config.fgd, bundle.hash_of("renderer"))
+    check_networks(config, bundle.hash_of("renderer"))
     own = config.detected
     if own is not None and not any((own / f"{path.stem}.npz").is_file() for path in paths):
         raise BadInput(f"{own}: holds no NAME.npz for a video NAME of {folder}")
@@ -153,8 +147,7 @@ def evaluate_videos(
     with whole_folder(output, mark=report.MARK, force=force) as part:
         scratch = part / "motion-0"
         space = open_space(data, bundle, scratch, device)
-        renderer = bundle.renderer().to(device)
-        watched = []
+        renderer, watched = bundle.renderer().to(device), []
         with progress("videos", len(paths), "videos") as advance:
             for path in paths:
                 watched.append(watch(path, space, renderer.estimator))
@@ -182,11 +175,6 @@ def evaluate_videos(
         return finish(data, [result], part, config)
 
 
-def _chosen(path: Path, numbers: NDArray) -> NDArray:
-    wanted = set(numbers.tolist())
-    return np.stack([frame for i, frame in enumerate(square_frames(path)) if i in wanted])
-
-
 def _score_images(
     data: Dataset,
     name: str,
@@ -210,7 +198,8 @@ def _score_images(
         seen = pick(w.clip.motion, numbers)
         known = joints.get(w.clip.name)
         part = None if known is None else known[numbers]
-        compare(judge, gathered, true, _chosen(w.path, numbers), seen, part)
+        shown = np.stack([frame for i, frame in enumerate(square_frames(w.path)) if i in numbers])
+        compare(judge, gathered, true, shown, seen, part)
     return {
         "about": f"{config.choice}, of the videos named like a test clip. Perceptual distance by "
         f"{judge.perceptual.backend}.",

@@ -231,7 +231,7 @@ def score_pictures(
         known = joints.get(clip.name)
         part = None if known is None else known[numbers]
         drawn: NDArray | None = None
-        for name, driver in {TRUE_REGIONS: _recorded, **drivers}.items():
+        for name, driver in {TRUE_REGIONS: lambda own: own.motion, **drivers}.items():
             motion = pick(driver(clip), numbers)
             driving = regions_of(judge.renderer, motion, session.device)
             made = np.concatenate(list(session.frames(driving)))
@@ -239,10 +239,6 @@ def score_pictures(
             compare(judge, gathered[name], true, made, seen, part, drawn)
             advance(len(numbers))
     return {name: part.scores() for name, part in gathered.items()}
-
-
-def _recorded(clip: MotionClip) -> Motion:
-    return clip.motion
 
 
 def read_chosen(dataset: Dataset, clip: Clip, numbers: NDArray) -> tuple[NDArray, NDArray]:

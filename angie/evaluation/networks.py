@@ -110,10 +110,6 @@ class EvaluationConfig:
 def stored_autoencoder(path: Path, estimator: str) -> StoredAutoencoder:
     """The auto-encoder of an earlier report.
 
-    Args:
-        path: its file.
-        estimator: hash of the renderer, or of the dataset of joints, that it has to be of.
-
     Raises:
         BadInput: not readable, or of other regions or joints.
     """
@@ -126,14 +122,16 @@ def stored_autoencoder(path: Path, estimator: str) -> StoredAutoencoder:
     return stored
 
 
-def check_perceptual(config: EvaluationConfig) -> None:
-    """See that weights for the perceptual distance can be used, before minutes of work.
+def check_networks(config: EvaluationConfig, *estimators: str) -> None:
+    """See that stored networks can be used with renderers of these hashes, before minutes of work.
 
     Raises:
         BadInput: they cannot.
     """
     if config.images and config.perceptual_weights:
         PerceptualDistance(config.perceptual_weights)
+    for estimator in estimators if config.fgd is not None else ():
+        stored_autoencoder(config.fgd, estimator)
 
 
 def find_autoencoder(

@@ -36,12 +36,7 @@ _WIDE = 11.4
 
 
 def page(title: str, numbers: Mapping[str, Any]) -> str:
-    """Lay out the report as HTML.
-
-    Args:
-        title: name of the dataset.
-        numbers: as `evaluate` returns them.
-    """
+    """Lay out the report as HTML."""
     spaces = [
         {
             **space,

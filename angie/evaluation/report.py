@@ -107,15 +107,8 @@ def numbers_of_space(
 ) -> dict[str, Any]:
     """What the report says of the motion in one space.
 
-    Args:
-        space: the clips.
-        judge: what the rows were scored against.
-        rows: with their motion.
-        numbers: `numbers_of_row` of each.
-        shown: name of the clip whose activity is plotted.
-        bins: speeds of the plot.
-        origin: what was used, by what it is.
-        bundles: description of each bundle, by name.
+    `numbers` are `numbers_of_row` of each row, `shown` is the clip whose activity is plotted,
+    `bins` are the plot's speeds; `origin` says what was used, `bundles` describes them.
     """
     return {
         "kind": space.kind,
@@ -191,13 +184,10 @@ def terminal_table(numbers: Mapping[str, Any]) -> str:
         keys = [key if space["kind"] == "regions" else key.removesuffix("_px") for key in SHORT]
         lines += _aligned(space["rows"], [c for c in MOTION if c.key in keys])
         if space["images"] is not None:
-            shown = [c for c in IMAGES if _any(space["images"]["rows"], c.key)]
-            lines += ["", *_aligned(space["images"]["rows"], shown)]
+            rows = space["images"]["rows"]
+            there = {k for row in rows for k, v in row["scores"].items() if v["mean"] is not None}
+            lines += ["", *_aligned(rows, [column for column in IMAGES if column.key in there])]
     return "\n".join(lines)
-
-
-def _any(rows: Sequence[Mapping[str, Any]], key: str) -> bool:
-    return any(row["scores"][key]["mean"] is not None for row in rows)
 
 
 def _aligned(rows: Sequence[Mapping[str, Any]], columns: Sequence[Any]) -> list[str]:

@@ -99,13 +99,7 @@ def cut_windows(
 
 
 def score_motion(run: Sequence[Performance], judge: Judge, seed: int = 0) -> dict[str, Score]:
-    """All scores of `definitions.MOTION` for one run.
-
-    Args:
-        run: performances.
-        judge: what they are scored against.
-        seed: of the pairs that diversity draws.
-    """
+    """All scores of `definitions.MOTION` for one run."""
     own = cut_windows([p.motion for p in run], [p.speaker for p in run], judge.scale, judge.model)
     moved = [points(p.motion) for p in run]
     scores = _window_scores(own, judge, seed) | _beat_scores(run, moved, judge)

@@ -15,7 +15,7 @@ import torch
 from angie.bundle import Bundle
 from angie.evaluation import report
 from angie.evaluation.evaluate import finish, make_rows, score_space
-from angie.evaluation.networks import EvaluationConfig, stored_autoencoder
+from angie.evaluation.networks import EvaluationConfig, check_networks
 from angie.evaluation.rows import Row, perform, row_names, systems
 from angie.evaluation.space import RegionSpace
 from angie.motion.keypoints import KeypointDataset, read_points, read_rate, resample
@@ -47,11 +47,7 @@ def evaluate_joints(
         generator: the only one of each bundle that is scored; None is all, a row each.
         force: replace a report that exists.
 
-    Returns:
-        the content of results.json.
-
-    Raises:
-        BadInput: an input that cannot be used; nothing is left behind.
+    Returns and raises what `angie.evaluation.evaluate.evaluate` does.
     """
     config = replace(config or EvaluationConfig(), images=False)
     check_apart(output, [folder, *places])
@@ -113,8 +109,7 @@ def _check(data: KeypointDataset, models: dict[str, Bundle], config: EvaluationC
         regions = model.statistics().regions
         if regions != data.joints():
             raise BadInput(f"{name}: has {regions} joints, {data.path} {data.joints()}")
-    if config.fgd is not None:
-        stored_autoencoder(config.fgd, data.digest)
+    check_networks(config, data.digest)
 
 
 def open_joints(data: KeypointDataset) -> RegionSpace:

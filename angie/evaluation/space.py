@@ -79,11 +79,8 @@ def points(motion: Motion) -> NDArray:
 def open_space(dataset: Dataset, bundle: Bundle, scratch: Path, device: str) -> RegionSpace:
     """Read the motion that the bundle's training left, or measure it.
 
-    Args:
-        dataset: the clips; both a training and a test clip are needed.
-        bundle: whose region estimator counts.
-        scratch: folder for motion that has to be measured; created if need be.
-        device: where to measure it.
+    `bundle`: whose region estimator counts. `scratch`: folder for motion that has to be measured;
+    created if need be.
 
     Raises:
         BadInput: no training or no test clips.

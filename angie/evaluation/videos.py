@@ -100,13 +100,8 @@ def write_videos(
 ) -> list[str]:
     """Write `count` side-by-side videos of the rows' first runs.
 
-    Args:
-        folder: where they go; it exists.
-        dataset: holds the recorded frames and the sound.
-        clips: test clips, in the order of the rows' performances.
-        rows: what is shown; the ground truth is drawn from its regions.
-        renderer: draws them all.
-        count: of clips shown, at most.
+    `clips`: test clips, in the order of the rows' performances. `rows`: what is shown; the ground
+    truth is drawn from its regions.
 
     Returns:
         names of the files.

@@ -135,10 +135,8 @@ def train_autoencoder(
 ) -> MotionAutoencoder:
     """Train the auto-encoder on standardised windows; in eval mode afterwards.
 
-    Args:
-        motion: (n, L, D) windows of the training split, n at least 2.
-        run: of `training.steps(n)` steps; weights and order follow from its seed.
-        training: how.
+    `motion`: (n, L, D) windows of the training split, n at least 2. `run`: of `training.steps(n)`
+    steps; weights and order follow from its seed.
 
     Raises:
         ValueError: fewer than two windows.
@@ -219,14 +217,8 @@ def save_autoencoder(
 ) -> None:
     """Write the auto-encoder with all that its features depend on, as safetensors.
 
-    Args:
-        path: the file to write.
-        model: trained.
-        scale: how its motion was standardised.
-        estimator: hash of the region estimator that measured the motion.
-        fps: frames a second of the motion.
-        training: how it was trained.
-        seed: it was trained with.
+    `scale`: how its motion was standardised. `estimator`: hash of the region estimator that
+    measured the motion.
     """
     tensors = {f"model.{k}": v.contiguous() for k, v in model.state_dict().items()}
     tensors["rest"] = torch.from_numpy(np.ascontiguousarray(scale.rest, np.float32))

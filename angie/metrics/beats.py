@@ -5,14 +5,15 @@ one entry a clip; onsets are seconds from the clip's first frame. A clip without
 or without motion beats (a still person) cannot be scored; it is left out and counted.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import argrelextrema
 
-from angie.metrics.score import Score, not_finite
+from angie.metrics.score import Score, finite
 from data_prep.speech.synchrony import (
     NEAR,
     activity,
@@ -34,18 +35,20 @@ ALIGN_SMOOTH = 5 / 60
 """Seconds of the Gaussian over Bailando's velocity: 5 frames at 60 a second."""
 
 
-def _counts(scored: int, still: int, silent: int, **more: int) -> dict[str, int]:
-    return {"clips": scored, "without motion beats": still, "without onsets": silent, **more}
+Pairs = list[tuple[NDArray, NDArray]]
 
 
-def _no_beats(still: int, silent: int) -> Score:
-    why = []
-    if still:
-        why.append(f"{still} without motion beats")
-    if silent:
-        why.append(f"{silent} without onsets")
-    reason = f"no clip can be scored ({', '.join(why)})" if why else "no clips"
-    return Score.missing(reason, **_counts(0, still, silent))
+def _beats(
+    points: Sequence[NDArray], onsets: Sequence[NDArray], beats_of: Callable[[NDArray], NDArray]
+) -> tuple[Pairs, dict[str, int], str]:
+    """Motion beats and onsets of the clips that have both, the numbers of clips, and what lacks."""
+    beats = [beats_of(clip) for clip in points]
+    pairs = [(b, o) for b, o in zip(beats, onsets, strict=True) if len(b) and len(o)]
+    silent = sum(not len(sound) for sound in onsets)
+    left = {"without motion beats": len(beats) - len(pairs) - silent, "without onsets": silent}
+    why = ", ".join(f"{count} {what}" for what, count in left.items() if count)
+    reason = f"no clip can be scored ({why})" if why else "no clips"
+    return pairs, {"clips": len(pairs), **left}, reason
 
 
 def usual_steps(points: Sequence[NDArray]) -> NDArray:
@@ -53,6 +56,7 @@ def usual_steps(points: Sequence[NDArray]) -> NDArray:
     return np.concatenate([steps(clip)[1:] for clip in points]).mean(0)
 
 
+@finite()
 def consistency(
     points: Sequence[NDArray], onsets: Sequence[NDArray], usual: NDArray, fps: float
 ) -> Score:
@@ -70,25 +74,17 @@ def consistency(
         usual: (n,) mean step of the points over training data, above 0.
         fps: frames a second.
     """
-    broken = not_finite(points)
-    if broken is not None:
-        return broken
-    total, count, still, silent = 0.0, 0, 0, 0
-    for clip, sound in zip(points, onsets, strict=True):
-        found = minima(activity(steps(clip), usual), fps)
-        if not len(sound):
-            silent += 1
-        elif not len(found):
-            still += 1
-        else:
-            total += beat_consistency(found, sound) * len(sound)
-            count += len(sound)
-    if not count:
-        return _no_beats(still, silent)
-    scored = len(points) - still - silent
-    return Score(total / count, counts=_counts(scored, still, silent, onsets=count))
+    pairs, counts, reason = _beats(
+        points, onsets, lambda clip: minima(activity(steps(clip), usual), fps)
+    )
+    if not pairs:
+        return Score.missing(reason, **counts)
+    count = sum(len(sound) for _, sound in pairs)
+    total = sum(beat_consistency(found, sound) * len(sound) for found, sound in pairs)
+    return Score(total / count, counts={**counts, "onsets": count})
 
 
+@finite()
 def matched(
     points: Sequence[NDArray], onsets: Sequence[NDArray], fps: float, near: float = NEAR
 ) -> Score:
@@ -98,30 +94,15 @@ def matched(
     counting once; pooled over clips. Motion beats are the ends of deceleration: local minima of
     the mean speed, smoothed by a Gaussian of 0.05 s, of prominence 0.03 of its mean. Onsets count
     when they are at least 0.2 s apart.
-
-    Args:
-        points: (T, n, D) of each clip.
-        onsets: (m,) of each clip, seconds.
-        fps: frames a second.
-        near: seconds.
     """
-    broken = not_finite(points)
-    if broken is not None:
-        return broken
-    hits, beats, still, silent = 0, 0, 0, 0
-    for clip, sound in zip(points, onsets, strict=True):
-        found = smooth_minima(steps(clip).mean(1) * fps, fps)
-        if not len(sound):
-            silent += 1
-        elif not len(found):
-            still += 1
-        else:
-            hits += matches(found, spaced(sound), near)
-            beats += len(found)
-    if not beats:
-        return _no_beats(still, silent)
-    counts = _counts(len(points) - still - silent, still, silent, beats=beats, matched=hits)
-    return Score(100 * hits / beats, counts=counts)
+    pairs, counts, reason = _beats(
+        points, onsets, lambda clip: smooth_minima(steps(clip).mean(1) * fps, fps)
+    )
+    if not pairs:
+        return Score.missing(reason, **counts)
+    hits = sum(matches(found, spaced(sound), near) for found, sound in pairs)
+    beats = sum(len(found) for found, _ in pairs)
+    return Score(100 * hits / beats, counts={**counts, "beats": beats, "matched": hits})
 
 
 def matched_curve(
@@ -141,6 +122,7 @@ def _bailando_beats(clip: NDArray, fps: float) -> NDArray:
     return (argrelextrema(speed, np.less)[0] + 1) / fps
 
 
+@finite()
 def align(
     points: Sequence[NDArray], onsets: Sequence[NDArray], fps: float, mode: str = "aist"
 ) -> Score:
@@ -161,19 +143,12 @@ def align(
     """
     if mode not in ("aist", "bailando"):
         raise ValueError(f"mode is aist or bailando, not {mode!r}")
-    broken = not_finite(points)
-    if broken is not None:
-        return broken
-    values, still, silent = [], 0, 0
-    for clip, sound in zip(points, onsets, strict=True):
-        found = (_aist_beats if mode == "aist" else _bailando_beats)(clip, fps)
-        if not len(sound):
-            silent += 1
-        elif not len(found):
-            still += 1
-        else:
-            pair = (sound, found) if mode == "aist" else (found, sound)
-            values.append(beat_consistency(*pair, sigma=ALIGN_SIGMA))
-    if not values:
-        return _no_beats(still, silent)
-    return Score(float(np.mean(values)), counts=_counts(len(values), still, silent))
+    beats_of = partial(_aist_beats if mode == "aist" else _bailando_beats, fps=fps)
+    pairs, counts, reason = _beats(points, onsets, beats_of)
+    if not pairs:
+        return Score.missing(reason, **counts)
+    values = [
+        beat_consistency(*(pair[::-1] if mode == "aist" else pair), sigma=ALIGN_SIGMA)
+        for pair in pairs
+    ]
+    return Score(float(np.mean(values)), counts=counts)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from angie.metrics.score import Score, not_finite
+from angie.metrics.score import Score, finite
 from data_prep.speech.synchrony import steps
 
 PAIRS = 500
@@ -21,6 +21,7 @@ MOST_WINDOWS = 2000
 """Windows of which all pairs are compared, at most; more are thinned out at random."""
 
 
+@finite()
 def shuffled(features: NDArray, seed: int = 0) -> Score:
     """Diversity (HA2G, Liu et al. 2022, released code): mean L1 distance to shuffled features.
 
@@ -32,9 +33,6 @@ def shuffled(features: NDArray, seed: int = 0) -> Score:
         seed: of the permutation.
     """
     features = np.asarray(features, np.float64)
-    broken = not_finite([features])
-    if broken is not None:
-        return broken
     count = min(len(features), PAIRS)
     if count < 2:
         return Score.missing("fewer than two windows; longer clips are needed", windows=count)
@@ -43,6 +41,7 @@ def shuffled(features: NDArray, seed: int = 0) -> Score:
     return Score(float(value), counts={"windows": len(features), "pairs": count})
 
 
+@finite()
 def across_clips(features: NDArray, clips: Sequence[int] | NDArray, seed: int = 0) -> Score:
     """Mean L1 distance of up to 500 random pairs of windows of different clips, each used once.
 
@@ -54,9 +53,6 @@ def across_clips(features: NDArray, clips: Sequence[int] | NDArray, seed: int = 
         seed: of the pairs.
     """
     features, clips = np.asarray(features, np.float64), np.asarray(clips)
-    broken = not_finite([features])
-    if broken is not None:
-        return broken
     pairs = _disjoint_pairs(clips, seed)
     counts = {"windows": len(features), "pairs": len(pairs)}
     if not len(pairs):
@@ -77,6 +73,7 @@ def _disjoint_pairs(clips: NDArray, seed: int) -> NDArray:
     return np.array(pairs[:PAIRS], np.int64).reshape(-1, 2)
 
 
+@finite()
 def pairwise(rows: NDArray, seed: int = 0) -> Score:
     """Mean Euclidean distance of all pairs of windows (Bailando; QPGesture).
 
@@ -87,9 +84,6 @@ def pairwise(rows: NDArray, seed: int = 0) -> Score:
         seed: of the choice of 2000 windows, where there are more.
     """
     rows = np.asarray(rows, np.float64)
-    broken = not_finite([rows])
-    if broken is not None:
-        return broken
     windows = len(rows)
     if windows < 2:
         return Score.missing("fewer than two windows; longer clips are needed", windows=windows)
@@ -112,6 +106,7 @@ FASTEST = 99.5
 """Percentile of the true speed at which the bins end."""
 
 
+@finite()
 def derivative(points: Sequence[NDArray], fps: float, order: int) -> Score:
     """Mean size of a derivative: acceleration for order 2, jerk for order 3 (GENEA, Trimodal).
 
@@ -123,9 +118,6 @@ def derivative(points: Sequence[NDArray], fps: float, order: int) -> Score:
         fps: frames a second.
         order: of the derivative, at least 1.
     """
-    broken = not_finite(points)
-    if broken is not None:
-        return broken
     values = [
         float(np.linalg.norm(np.diff(clip.astype(np.float64), order, axis=0), axis=-1).mean())
         * fps**order
@@ -148,6 +140,7 @@ def acceleration(points: Sequence[NDArray], fps: float) -> Score:
     return derivative(points, fps, 2)
 
 
+@finite(2)
 def hellinger(real: Sequence[NDArray], made: Sequence[NDArray], fps: float) -> Score:
     """Hellinger distance of speed histograms, 0 to 1 (GENEA, Kucherenko et al. 2020; QPGesture).
 
@@ -161,9 +154,6 @@ def hellinger(real: Sequence[NDArray], made: Sequence[NDArray], fps: float) -> S
         made: motion to be scored (T, n, D), of each clip.
         fps: frames a second.
     """
-    broken = not_finite(real, made)
-    if broken is not None:
-        return broken
     speeds = [
         np.concatenate([steps(clip)[1:] for clip in clips]) * fps
         if len(clips)

@@ -69,12 +69,7 @@ def _warning(windows: int, width: int) -> str:
 
 
 def feature_distance(real: NDArray, made: NDArray) -> Score:
-    """FGD of features (n, d) and (m, d) (TriCon, Yoon et al. 2020); lower is better.
-
-    Args:
-        real: features of recorded motion.
-        made: features of the motion to be scored.
-    """
+    """FGD of features (n, d) and (m, d) (TriCon, Yoon et al. 2020); lower is better."""
     real, made = np.asarray(real, np.float64), np.asarray(made, np.float64)
     missing = _too_few(real, made)
     if missing is not None:

@@ -190,10 +190,8 @@ def train_identity(
 ) -> IdentityNetwork:
     """Train the network on clips of people; in eval mode afterwards.
 
-    Args:
-        clips: pictures (n, H, W, 3) uint8 of each clip, n above 1; two clips or more.
-        training: how.
-        seed: of weights and batches; torch's global state is left as it was.
+    `clips`: pictures (n, H, W, 3) uint8 of each clip, n above 1; two clips or more. `seed`: of
+    weights and batches; torch's global state is left as it was.
 
     Raises:
         ValueError: fewer than two clips.

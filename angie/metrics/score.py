@@ -1,12 +1,14 @@
 """A score and what it was computed from, or why it could not be computed."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from functools import wraps
+from typing import Any, ParamSpec
 
 import numpy as np
-from numpy.typing import NDArray
+
+P = ParamSpec("P")
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,22 @@ class Score:
         }
 
 
-def not_finite(*motions: Sequence[NDArray]) -> Score | None:
-    """Why clips, or windows, cannot be scored when numbers of theirs are not finite, else None."""
-    broken = sum(not np.isfinite(clip).all() for clips in motions for clip in clips)
-    return Score.missing("motion is not finite", **{"not finite": broken}) if broken else None
+def finite(motions: int = 1) -> Callable[[Callable[P, Score]], Callable[P, Score]]:
+    """A metric of which the first arguments, so many, are motion: clips, or an array of windows.
+
+    Where their numbers are not finite there is no score.
+    """
+
+    def wrap(metric: Callable[P, Score]) -> Callable[P, Score]:
+        @wraps(metric)
+        def checked(*args: P.args, **options: P.kwargs) -> Score:
+            given: Any = args[:motions]
+            clips = [c for one in given for c in ([one] if isinstance(one, np.ndarray) else one)]
+            broken = sum(not np.isfinite(clip).all() for clip in clips)
+            if broken:
+                return Score.missing("motion is not finite", **{"not finite": broken})
+            return metric(*args, **options)
+
+        return checked
+
+    return wrap

@@ -1,6 +1,8 @@
 """Distance to the motion that was recorded with the sound: MAJE, MAD, CCA.
 
 Many gestures suit one speech, so these favour the mean gesture; FGD and the beat scores do not.
+
+`real` are the recorded points (T, n, D) of each clip, `made` generated ones of the same shapes.
 """
 
 from collections.abc import Sequence
@@ -9,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from angie.metrics.score import Score, not_finite
+from angie.metrics.score import Score, finite
 
 ENOUGH = 10
 """Frames for each dimension that CCA over all clips wants; fewer correlate by themselves."""
@@ -25,16 +27,9 @@ def _pairs(real: Sequence[NDArray], made: Sequence[NDArray]) -> list[tuple[NDArr
     return [(a.astype(np.float64), b.astype(np.float64)) for a, b in pairs]
 
 
+@finite(2)
 def maje(real: Sequence[NDArray], made: Sequence[NDArray]) -> Score:
-    """Mean absolute joint error: mean |p - p'| over frames, points and coordinates (TriCon).
-
-    Args:
-        real: recorded points (T, n, D) of each clip.
-        made: of the same shapes.
-    """
-    broken = not_finite(real, made)
-    if broken is not None:
-        return broken
+    """Mean absolute joint error: mean |p - p'| over frames, points and coordinates (TriCon)."""
     pairs = _pairs(real, made)
     frames = sum(len(a) for a, _ in pairs)
     if not frames:
@@ -43,20 +38,15 @@ def maje(real: Sequence[NDArray], made: Sequence[NDArray]) -> Score:
     return Score(total / frames, counts={"frames": frames})
 
 
+@finite(2)
 def mad(real: Sequence[NDArray], made: Sequence[NDArray], fps: float) -> Score:
     """Mean acceleration difference: mean |a - a'| over frames and points, units / s^2.
 
     Euclidean norm of second differences times fps^2 (Rhythmic Gesticulator, Ao et al. 2022;
     RACER).
 
-    Args:
-        real: recorded points (T, n, D) of each clip; clips of 2 frames or fewer are left out.
-        made: of the same shapes.
-        fps: frames a second.
+    Clips of 2 frames or fewer are left out.
     """
-    broken = not_finite(real, made)
-    if broken is not None:
-        return broken
     apart = [np.diff(a - b, 2, axis=0) for a, b in _pairs(real, made)]
     frames = sum(len(change) for change in apart)
     if not frames:
@@ -88,16 +78,9 @@ def canonical_correlation(first: NDArray, second: NDArray) -> float | str:
     return float(np.cos(linalg.subspace_angles(one, two).min()))
 
 
+@finite(2)
 def global_cca(real: Sequence[NDArray], made: Sequence[NDArray]) -> Score:
-    """First canonical correlation over the frames of all clips (GENEA; QPGesture "global CCA").
-
-    Args:
-        real: recorded points (T, n, D) of each clip.
-        made: of the same shapes.
-    """
-    broken = not_finite(real, made)
-    if broken is not None:
-        return broken
+    """First canonical correlation over the frames of all clips (GENEA; QPGesture "global CCA")."""
     pairs = _pairs(real, made)
     frames = sum(len(a) for a, _ in pairs)
     if not frames:
@@ -113,19 +96,13 @@ def global_cca(real: Sequence[NDArray], made: Sequence[NDArray]) -> Score:
     return Score(value, counts={"frames": frames}, warning="" if frames >= wanted else few)
 
 
+@finite(2)
 def cca(real: Sequence[NDArray], made: Sequence[NDArray]) -> Score:
     """First canonical correlation of each clip, mean and deviation over clips (GENEA; QPGesture).
 
     The correlation is fitted to each clip anew, as the released code does; high values are
     therefore easy to reach in short clips.
-
-    Args:
-        real: recorded points (T, n, D) of each clip.
-        made: of the same shapes.
     """
-    broken = not_finite(real, made)
-    if broken is not None:
-        return broken
     values: list[float] = []
     reasons: list[str] = []
     for a, b in _pairs(real, made):

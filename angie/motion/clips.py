@@ -67,11 +67,8 @@ def read_clips(
 ) -> list[MotionClip]:
     """Read motion and features of all clips of a split.
 
-    Args:
-        data: the prepared dataset.
-        folder: folder of the motion files, `<clip id>.npz`.
-        split: name of the split, such as "train".
-        estimator: hash of the region estimator that must have measured the motion.
+    `folder`: folder of the motion files, `<clip id>.npz`. `estimator`: hash of the region estimator
+    that must have measured the motion.
 
     Raises:
         BadInput: a clip without motion, or measured by another region estimator.

@@ -1,7 +1,7 @@
 """Motion of joints in place of regions: any (T, J, 2) arrays with their sound.
 
-ANGIE's Tables 1 and 2 compare skeletons (section 4.2: the VQ without Cholesky factors). The same
-VQ motion extractor, GPT and refiner then work on the stream of the shift alone. The layout::
+Papers compare skeletons (ANGIE's Tables 1 and 2, section 4.2). The same generators then work on
+shifts alone, without the regions' extent. The layout::
 
     clips.csv             clip,speaker,split,fps     split is train, val or test; fps of the motion
     motion/<clip>.npy     (T, J, 2) float, one row a frame; or .npz with `points`
@@ -144,9 +144,7 @@ def read_rate(path: Path) -> float | None:
 class KeypointDataset:
     """Clips of joints with their sound.
 
-    Args:
-        path: folder with the layout above.
-        cache: where features of the sound are kept; made when needed.
+    `cache`: where features of the sound are kept; made when needed.
 
     Raises:
         BadInput: an index that cannot be used, or files that it names and that are missing.

@@ -4,7 +4,7 @@ Long sequences in overlapping windows that fade into one another.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import torch
 from numpy.typing import NDArray
@@ -166,6 +166,11 @@ class MotionWindows(Dataset[dict[str, Tensor]]):
         places = self.places[first:last]
         return torch.stack([compute(self.clips[index], frame) for index, frame in places])
 
+    def groups(self, *parts: str, at_once: int = 64) -> Iterator[dict[str, Tensor]]:
+        """Some parts of all windows, stacked, `at_once` windows at a time."""
+        for first in range(0, len(self), at_once):
+            yield {part: self.stack(part, first, first + at_once) for part in parts}
+
 
 BLENDS = ("linear", "hann")
 """How windows become one sequence.
@@ -232,6 +237,7 @@ def cross_fade(
     window = min(window, length)
     starts = window_starts(length, window, min(hop, window))
     place = torch.arange(window, dtype=torch.float32)
+    hann = torch.sin(math.pi * (place + 0.5) / window).square()  # sampled between its zeros
     total, weight = None, torch.zeros(length, 1)
     for begin in range(0, len(starts), at_once):
         group = starts[begin : begin + at_once]
@@ -239,16 +245,11 @@ def cross_fade(
         if total is None:
             total = torch.zeros(length, values.shape[-1])
         for index, (first, value) in enumerate(zip(group, values, strict=True), begin):
-            part = _hann(place) if blend == "hann" else _faded(starts, index, place, fade)
+            part = hann if blend == "hann" else _faded(starts, index, place, fade)
             total[first : first + window] += value * part[:, None]
             weight[first : first + window] += part[:, None]
     assert total is not None  # window_starts refuses an empty sequence
     return total / weight
-
-
-def _hann(place: Tensor) -> Tensor:
-    """Weights of a window at its places (window,), a Hann window sampled between its zeros."""
-    return torch.sin(math.pi * (place + 0.5) / len(place)).square()
 
 
 def _faded(starts: list[int], index: int, place: Tensor, fade: int) -> Tensor:

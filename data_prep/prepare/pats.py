@@ -191,18 +191,15 @@ def not_kept(intervals: Sequence[Interval], outcomes: Sequence[Outcome]) -> list
     for outcome in outcomes:
         middles = [clip.start + clip.n_frames / 50 for clip in outcome.clips]
         origin = outcome.info.start if outcome.info else 0.0
-        reason = outcome.refused or _reason(outcome)
+        reason = outcome.refused or (
+            f"no clip kept ({', '.join(sorted(outcome.dropped)) or 'too short'})"
+        )
         for id, start, end in outcome.source.intervals:
             kept = any(start <= middle + origin <= end for middle in middles)
             interval = by_id.get((outcome.source.speaker, id, start))
             if not kept and interval is not None:
                 missing.append(Missing(interval, reason))
     return missing
-
-
-def _reason(outcome: Outcome) -> str:
-    reasons = ", ".join(sorted(outcome.dropped)) or "too short"
-    return f"no clip kept ({reasons})"
 
 
 def write_missing(path: Path, missing: Sequence[Missing]) -> None:

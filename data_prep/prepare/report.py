@@ -3,7 +3,7 @@
 The page's layout is `templates/report.html.j2`; it needs no other file.
 """
 
-import base64
+from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -54,13 +54,13 @@ def page(title: str, numbers: Mapping[str, Any], sheets: Mapping[str, bytes | st
         ],
     }
     template = page_template(
-        "data_prep.prepare", "report.html.j2", time=_time, counted=counted, base64=_base64
+        "data_prep.prepare",
+        "report.html.j2",
+        time=_time,
+        counted=counted,
+        base64=lambda data: b64encode(data).decode(),
     )
     return template.render(title=title, SPLITS=SPLITS, MOST=MOST, **shown)
-
-
-def _base64(data: bytes) -> str:
-    return base64.b64encode(data).decode()
 
 
 def _time(seconds: float) -> str:

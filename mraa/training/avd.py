@@ -111,14 +111,8 @@ def train_avd(
     The loss is L1 of shift and affine against the other frame unstretched: body from the one,
     pose from the other.
 
-    Args:
-        folder: where checkpoint and curves go.
-        motions: region motion of the training clips.
-        config: of the renderer, whose regions and affine mode these are.
-        training: how to train.
-        seed: everything random follows from it.
-        run_config: device, precision and so on.
-        resume: go on from the checkpoint in `folder`.
+    `motions`: region motion of the training clips. `config`: of the renderer, whose regions and
+    affine mode these are.
 
     Returns:
         The trained network in evaluation mode on the CPU.
@@ -164,12 +158,8 @@ def recovery(
 ) -> Recovery:
     """Measure a network in evaluation mode on clips that it was not trained on.
 
-    Args:
-        avd: the network, on the CPU.
-        motions: region motion of the clips.
-        config: of the renderer.
-        scale: bodies are stretched by up to this part, as in training.
-        pairs: number of pairs to measure, always the same ones.
+    `avd`: the network, on the CPU. `scale`: bodies are stretched by up to this part, as in
+    training.
     """
     random = np.random.default_rng(0)
     drawn = RegionPairs(motions)

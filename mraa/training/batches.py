@@ -19,14 +19,8 @@ SEED_STRIDE = 1_000_003
 class StepSampler(Sampler[list[tuple[int, int]]]):
     """Endless batches of (index, seed); those of step i are a pure function of the seed and i.
 
-    Args:
-        length: items in an epoch.
-        batch: items of a step, over all processes and parts.
-        seed: of the run.
-        first: step to begin with.
-        rank: number of this process.
-        world: number of processes.
-        parts: batches that a step is computed in.
+    `length`: items in an epoch. `batch`: items of a step, over all processes and parts. `parts`:
+    batches that a step is computed in.
 
     Raises:
         BadInput: a step's items do not divide evenly.

@@ -74,14 +74,8 @@ def save_checkpoint(
 ) -> None:
     """Write models and optimisers by name, and what belongs to the run, as one safetensors file.
 
-    Args:
-        path: of the file, replaced whole or not at all.
-        models: names have no dot.
-        optimizers: names are those of their models.
-        step: number of steps done.
-        identity: what the run is trained on.
-        scaler: of 16-bit training.
-        best: best weights so far.
+    `models`: names have no dot. `optimizers`: names are those of their models. `identity`: what the
+    run is trained on.
     """
     best = best or Best()
     tensors = {f"model.{n}.{k}": v for n, m in models.items() for k, v in m.state_dict().items()}

@@ -178,10 +178,6 @@ def draw_curves(points: Points, path: Path) -> None:
 
     The axis is logarithmic where all values are positive and the largest is over 20 times the
     smallest. Points that are not finite are left out.
-
-    Args:
-        points: of every curve.
-        path: of the PNG file.
     """
     from matplotlib.figure import Figure  # takes a second
 

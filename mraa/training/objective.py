@@ -125,13 +125,8 @@ class Objective(nn.Module):
 
     Its state is that of the renderer; what is fixed stays out of checkpoints.
 
-    Args:
-        renderer: in training.
-        training: weights of the losses.
-        compare: the perceptual loss.
-        teacher: frozen estimator whose regions are to be followed.
-        motion_alone: the generator rests; the blend of deformed sources has to match the small
-            driving frame.
+    `teacher`: frozen estimator whose regions are to be followed. `motion_alone`: the generator
+    rests; the blend of deformed sources has to match the small driving frame.
     """
 
     def __init__(

@@ -50,12 +50,8 @@ class TrainingPair(NamedTuple):
 class FramePairs:
     """Random pairs (source, driving) of frames of one clip, in order of time.
 
-    Args:
-        dataset: where the clips are.
-        clips: those to draw from; an epoch meets each once.
-        augmentation: applied to both frames alike.
-        size: of the pairs in pixels, if smaller than the frames.
-        gap: largest distance of the two frames, 0 for any (as in MRAA).
+    `clips`: those to draw from; an epoch meets each once. `size`: of the pairs in pixels, if
+    smaller than the frames. `gap`: largest distance of the two frames, 0 for any (as in MRAA).
     """
 
     def __init__(

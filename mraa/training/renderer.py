@@ -87,15 +87,7 @@ def train_renderer(
 ) -> Renderer:
     """Train a renderer on the training clips of a dataset.
 
-    Args:
-        dataset: clips of one or several speakers.
-        config: architecture.
-        training: losses, schedule, augmentation.
-        folder: for checkpoint, curves and sample sheets.
-        seed: of weights, pairs, augmentation and transforms.
-        run_config: device, precision and so on.
-        resume: go on from the checkpoint in `folder`.
-        teacher: trained region estimator to follow, with `training.distill_weight`.
+    `teacher`: trained region estimator to follow, with `training.distill_weight`.
 
     Returns:
         The renderer in eval mode on the CPU.

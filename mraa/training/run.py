@@ -29,14 +29,14 @@ class Run:
 
     A stage is a flat loop::
 
-        run = Run(folder, "gpt", steps=1000, seed=0)
-        model = run.add("gpt", gpt, torch.optim.Adam(gpt.parameters(), lr=3e-4), milestones=[800])
+        run = Run(folder, "net", steps=1000, seed=0)
+        model = run.add("net", net, torch.optim.Adam(net.parameters(), lr=3e-4), milestones=[800])
         batches = run.batches(windows, batch_size=32)
         for step in run.steps():
             loss = model(next(batches))
-            run.update(loss, "gpt", clip=1.0)
+            run.update(loss, "net", clip=1.0)
             if run.due(checks=20):
-                run.keep_best(held_out_loss(gpt), patience=5)
+                run.keep_best(held_out_loss(net), patience=5)
             run.log(loss=loss)
         run.restore_best()
 

@@ -34,7 +34,7 @@ def call(capsys, *arguments):
         (["{data}", "{bundle}", "-o", "{tmp}/taken"], "exists already"),
         (["{data}", "{bundle}", "-o", "{tmp}/taken", "--force"], "holds other things"),
         (["{data}", "{bundle}", "-o", "{data}", "--force"], "would replace the input"),
-        (["{data}", "{bundle}", "-o", "{tmp}/out", "--start", "zero"], "truth or pose"),
+        (["{data}", "{bundle}", "-o", "{tmp}/out", "--start", "zero"], "choose from truth, pose"),
         (["{data}", "{bundle}", "-o", "{tmp}/out", "--fgd", "{tmp}/none"], "no such file"),
         (
             ["{data}", "{bundle}", "-o", "{tmp}/out", "--fgd", "{tmp}/taken/text"],
