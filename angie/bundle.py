@@ -20,6 +20,7 @@ What ships with the package: a speaker bundle, a photo and a recording of our ow
 import dataclasses
 import json
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +33,7 @@ from torch import Tensor
 from angie import __version__
 from angie.config import Preset, stored
 from angie.generators import DEFAULT as DEFAULT_GENERATOR
-from angie.generators import family
+from angie.generators import family, upgraded
 from angie.generators.base import GestureGenerator
 from angie.motion.statistics import MotionStatistics
 from angie.parts import (
@@ -57,6 +58,9 @@ FORMAT = 2
 TRAIN = "train"
 """Folder in a bundle for checkpoints, curves and caches."""
 
+SAFE = re.compile(r"[\w.-]+\.safetensors")
+"""Names of files in a bundle's own folder."""
+
 _ENTRY = {"file", "sha256", "upstream", "settings", "report"}
 
 
@@ -67,6 +71,8 @@ class Bundle:
     folder: Path
     manifest: dict[str, Any]
     preset: Preset
+    format: int = FORMAT
+    """Of the manifest as it was read; it is written in the newest one."""
 
     @classmethod
     def create(cls, folder: Path, preset: Preset) -> "Bundle":
@@ -101,18 +107,15 @@ class Bundle:
             raise BadInput(f"{folder}: not a speaker bundle, it has no bundle.json")
         try:
             manifest = json.loads(path.read_text())
-            if manifest["format"] > FORMAT:
-                raise BadInput(
-                    f"bundle format {manifest['format']} is newer than {FORMAT}; update angie"
-                )
-            if manifest["format"] == 1:
-                from angie.generators.angie.format1 import upgrade
-
-                manifest = upgrade(manifest)
+            version = manifest["format"]
+            if version > FORMAT:
+                raise BadInput(f"bundle format {version} is newer than {FORMAT}; update angie")
+            if version == 1:
+                manifest = upgraded(manifest)
             preset = stored(manifest["config"])
-            bundle = cls(folder, manifest, preset)
+            bundle = cls(folder, manifest, preset, version)
             for part, entry in manifest["parts"].items():
-                if entry.keys() != _ENTRY or not _is_name(entry["file"]):
+                if entry.keys() != _ENTRY or not SAFE.fullmatch(entry["file"]):
                     raise BadInput(f"{part} is not described as it should be")
                 if entry["settings"] is None:
                     entry["settings"] = bundle.sizes_of(part)
@@ -121,8 +124,12 @@ class Bundle:
                 raise BadInput("speakers must be names")
         except BadInput as error:
             raise BadInput(f"{path}: {error}") from error
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise BadInput(f"{path}: not a readable manifest ({error!r})") from error
+        except KeyError as error:
+            raise BadInput(f"{path}: lacks {error.args[0]!r}; copy the bundle again") from error
+        except (OSError, ValueError, TypeError, AttributeError) as error:
+            told = isinstance(error, OSError | ValueError)
+            reason = " ".join(str(error).split()) if told else "an entry is of another kind"
+            raise BadInput(f"{path}: damaged ({reason}); copy the bundle again") from error
         return bundle
 
     def write(self) -> None:
@@ -332,11 +339,6 @@ class Bundle:
         return family(name).load(self, precision)
 
 
-def _is_name(file: Any) -> bool:
-    """Whether a file of the manifest lies in the bundle's own folder."""
-    return isinstance(file, str) and Path(file).name == file and file.endswith(".safetensors")
-
-
 def styles(bundle: Bundle, generator: str | None = None) -> tuple[str, ...]:
     """Names of the styles that a generator tells apart; none if there is but one.
 
@@ -349,11 +351,6 @@ def styles(bundle: Bundle, generator: str | None = None) -> tuple[str, ...]:
 
 def check_style(bundle: Bundle, style: str | None, generator: str | None = None) -> None:
     """Refuse a style that a bundle does not have, before anything long begins.
-
-    Args:
-        bundle: a speaker bundle.
-        style: name of a training speaker; None asks for nothing.
-        generator: whose style.
 
     Raises:
         BadInput: an unknown name, or a model that knows but one style.

@@ -6,6 +6,7 @@ import math
 import types
 import typing
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,7 +14,7 @@ from typing import Any, TypeVar
 import yaml
 
 from angie.generators import DEFAULT, family
-from data_prep.errors import BadInput
+from data_prep.errors import BadInput, check_choice
 from mraa.renderer import GeneratorConfig, HourglassConfig, RendererConfig
 from mraa.training.avd import AvdTraining
 from mraa.training.checkpoint import Schedule
@@ -124,8 +125,7 @@ def preset(name: str, generator: str | None = None) -> Preset:
     Raises:
         BadInput: an unknown name.
     """
-    if name not in PRESETS:
-        raise BadInput(f"--preset {name}: choose from {', '.join(PRESETS)}")
+    check_choice("--preset", name, PRESETS)
     return with_generator(PRESETS[name](), generator)
 
 
@@ -156,7 +156,7 @@ def parse_overrides(arguments: list[str]) -> dict[str, Any]:
     """Read `key=value` arguments and YAML files into one nested mapping.
 
     Args:
-        arguments: such as "gpt.layers=4" or "mine.yaml"; later ones win.
+        arguments: such as "renderer.regions=12" or "mine.yaml"; later ones win.
 
     Raises:
         BadInput: neither form, or a file that is not a YAML mapping.
@@ -296,8 +296,10 @@ def _convert(value: Any, hint: Any, name: str) -> Any:
         return _convert(value, arguments[0], name)
     elif hint is str and isinstance(value, bool):
         return "on" if value else "off"  # YAML reads these words, too, as truth values
-    elif hint is float and _is_number(value) and math.isfinite(float(value)):
-        return float(value)
+    elif hint is float and not isinstance(value, bool):
+        with suppress(TypeError, ValueError):  # YAML reads 3e-4 without a dot as text
+            if math.isfinite(float(value)):
+                return float(value)
     elif (
         isinstance(hint, type)
         and isinstance(value, hint)
@@ -306,14 +308,3 @@ def _convert(value: Any, hint: Any, name: str) -> Any:
         return value
     kind = getattr(hint, "__name__", str(hint))
     raise BadInput(f"{name}={value}: a {kind} is wanted")
-
-
-def _is_number(value: Any) -> bool:
-    """Whether `value` is a number; YAML reads 3e-4 without a dot as text."""
-    if isinstance(value, bool):
-        return False
-    try:
-        float(value)
-    except (TypeError, ValueError):
-        return False
-    return True

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from angie import __version__
 from angie.pipeline import GesturePipeline, GestureVideo
 from angie.source import Photo, View
-from data_prep.errors import BadInput
+from data_prep.errors import check_choice
 from data_prep.media.video import VideoInfo, probe
 from data_prep.prepare.square import Square, find_square, given_square
 from data_prep.rates import FPS
@@ -55,13 +55,6 @@ def drive(
 
     The video is read at 25 fps by presentation time and never held: only a batch of its frames.
 
-    Args:
-        pipeline: of a bundle with a renderer; gesturing to sound may be missing.
-        photo: as in `GesturePipeline`.
-        video: any video of a speaker.
-        driving: what is taken of it, and how.
-        view: which part of the photo moves, and what is shown of it.
-
     Returns:
         a video as long as the driving one.
 
@@ -70,10 +63,9 @@ def drive(
     """
     driving, view, bundle = driving or Driving(), view or View(), pipeline.bundle
     mode = driving.mode or ("avd" if "avd" in bundle.manifest["parts"] else "relative")
-    if mode not in MODES:
-        raise BadInput(f"--mode {mode}: choose from {', '.join(MODES)}")
-    if driving.person not in (None, *PEOPLE):
-        raise BadInput(f"--drive-person {driving.person}: choose from {', '.join(PEOPLE)}")
+    check_choice("--mode", mode, MODES)
+    if driving.person is not None:
+        check_choice("--drive-person", driving.person, PEOPLE)
     info = probe(video)
     subject = pipeline.subject(photo, view)
     avd = bundle.avd().to(pipeline.device) if mode == "avd" else None

@@ -9,7 +9,7 @@ from angie.bundle import check_style
 from angie.motion.keypoints import read_points, resample
 from angie.motion.statistics import MotionStatistics
 from angie.pipeline import GesturePipeline
-from data_prep.errors import BadInput
+from data_prep.errors import BadInput, check_seed
 from data_prep.files import check_apart, whole_file
 from data_prep.rates import FPS
 from mraa.motion import Motion, read_motion
@@ -88,6 +88,7 @@ def gestures(
         raise BadInput(f"{output}: must end in .npz{' or .npy' if points else ''}")
     if fps != FPS and not points:
         raise BadInput(f"--fps {fps:g}: motion of regions has {FPS} frames a second")
+    check_seed(seed)
     check_style(bundle, style, pipeline.name)
     generator = pipeline.generator
     with whole_file(output, force=force) as part:

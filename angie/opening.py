@@ -111,14 +111,9 @@ def open_or_create(
 ) -> Bundle:
     """The bundle of a folder, made if need be, with the settings to train it with.
 
-    Args:
-        output: folder of the bundle.
-        preset: sizes of a new bundle; an existing one keeps its own.
-        changes: settings that differ.
-        generator: family of the generator to train, which is added to a bundle without it.
-        stage: what will be trained, "all" or a stage.
-        resume: go on with a bundle that exists.
-        force: throw an existing one away.
+    `preset`: sizes of a new bundle; an existing one keeps its own. `generator`: family of the
+    generator to train, which is added to a bundle without it. `stage`: what will be trained, "all"
+    or a stage.
 
     Raises:
         BadInput: settings that cannot be, or a folder that cannot be used for this.

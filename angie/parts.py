@@ -136,7 +136,7 @@ def describe(bundle: "Bundle") -> str:
     size = "" if points else f"{manifest['size']}x{manifest['size']} "
     lines = [
         f"bundle      {bundle.folder}",
-        f"format      {manifest['format']}, made by angie {manifest['angie']}",
+        f"format      {bundle.format}, made by angie {manifest['angie']}",
         f"preset      {manifest['preset']}: {what}, {size}at {manifest['fps']} fps",
         f"speakers    {', '.join(manifest['speakers']) or 'none yet'}",
     ]

@@ -22,8 +22,8 @@ from angie.bundle import BUNDLE, Bundle, check_style
 from angie.generators.base import GestureGenerator
 from angie.motion.statistics import MotionStatistics
 from angie.source import Framing, Photo, View, frame_photo
-from data_prep.errors import BadInput
-from data_prep.files import check_apart, whole_file
+from data_prep.errors import BadInput, check_choice, check_seed
+from data_prep.files import check_apart, check_mp4, whole_file
 from data_prep.media.audio import read_sound
 from data_prep.media.video import VideoWriter
 from data_prep.media.writer import WriteThread
@@ -136,9 +136,11 @@ class GestureVideo:
             the path.
 
         Raises:
-            BadInput: an output that would replace an input or exists, or sound that is damaged.
+            BadInput: no name of an mp4, an output that would replace an input or exists, or sound
+                that is damaged.
         """
         path = Path(path)
+        check_mp4(path)
         check_apart(path, self.inputs)
         with whole_file(path, force=force) as part:
             video = VideoWriter(
@@ -148,7 +150,7 @@ class GestureVideo:
                 sound=self.sound,
                 comment=self.comment,
                 origin=self.origin,
-                threads=encoder_threads(self.width_height),
+                threads=int(math.prod(self.width_height) <= SMALL),
                 fit=self.fit,
             )
             self.frames = write_video(video, self, self.frames)
@@ -258,8 +260,8 @@ class GesturePipeline:
             BadInput: an input that cannot be used.
         """
         view = view or View()
-        if scale_motion not in SCALES:
-            raise BadInput(f"--scale-motion {scale_motion}: choose from {', '.join(SCALES)}")
+        check_seed(seed)
+        check_choice("--scale-motion", scale_motion, SCALES)
         check_style(self.bundle, style, self.name)
         subject = self.subject(photo, view)
         if speech is None or not all(name in speech for name in self.generator.features):
@@ -355,19 +357,8 @@ def mono(samples: NDArray, rate: int) -> NDArray[np.float32]:
     return np.clip(made, -1, 1)
 
 
-def encoder_threads(width_height: tuple[int, int]) -> int:
-    """Threads of the picture's encoder for a video of that size, 0 for as many as it likes."""
-    return int(math.prod(width_height) <= SMALL)
-
-
 def write_video(video: VideoWriter, batches: Iterable[np.ndarray], frames: int) -> int:
-    """Encode batches of frames (b, H, W, 3) uint8 as they are drawn; returns their number.
-
-    Args:
-        video: the writer; it is closed.
-        batches: the frames.
-        frames: how many are expected, for the progress.
-    """
+    """Encode batches of frames (b, H, W, 3) uint8 as they are drawn; returns their number."""
     count = 0
     with video, WriteThread(video) as encoder, progress("render", frames, "frames") as advance:
         for batch in batches:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from data_prep.errors import BadInput
+from data_prep.errors import BadInput, check_choice
 from data_prep.media.photo import photo_pixels, read_photo
 from data_prep.rates import IMAGE_SIZE
 from data_prep.speaker.crop import Crop, check_crop, choose_person, find_people, speaker_crop
@@ -120,8 +120,8 @@ def check_size(size: str | None, full_frame: bool) -> None:
     Raises:
         BadInput: an unknown size, or a size for the whole photo.
     """
-    if size is not None and size not in SIZES:
-        raise BadInput(f"--size {size}: choose from {', '.join(SIZES)}")
+    if size is not None:
+        check_choice("--size", size, SIZES)
     if size is not None and full_frame:
         raise BadInput("--size and --full-frame: give one; the whole photo keeps its own size")
 

@@ -19,7 +19,7 @@ from angie.motion.statistics import measure
 from angie.motion.windows import WINDOW
 from angie.opening import initial_weights, open_or_create, teacher_of
 from data_prep.dataset import Clip, Dataset
-from data_prep.errors import BadInput
+from data_prep.errors import BadInput, check_choice, check_seed
 from data_prep.files import check_apart
 from data_prep.progress import console
 from data_prep.rates import FPS
@@ -282,9 +282,9 @@ def train(
         BadInput: no dataset, unknown generator, stage or setting, or a bundle that exists already.
     """
     if generator is not None or not (Path(output) / "bundle.json").exists():
-        known = [*SHARED, *(one.name for one in family(generator).stages), "all"]
-        if stage not in known:
-            raise BadInput(f"--stage {stage}: choose from {', '.join(known)}")
+        own = (one.name for one in family(generator).stages)
+        check_choice("--stage", stage, [*SHARED, *own, "all"])
+    check_seed(seed)
     check_apart(output, [dataset])
     data = open_data(dataset, output)
     _check_data(data, speaker, stage)

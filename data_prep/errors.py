@@ -5,8 +5,9 @@ Notes on what is used although something about it is odd.
 
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from numbers import Integral
 from pathlib import Path
 
 
@@ -37,6 +38,26 @@ def collected_notes() -> Iterator[list[str]]:
             yield texts
         finally:
             texts.extend(dict.fromkeys(str(one.message) for one in caught))
+
+
+def check_choice(option: str, given: object, choices: Iterable[str]) -> None:
+    """Refuse what is none of the choices of an option.
+
+    Raises:
+        BadInput: the option, what was given, and the choices.
+    """
+    if given not in (known := list(choices)):
+        raise BadInput(f"{option} {given}: choose from {', '.join(known)}")
+
+
+def check_seed(seed: object) -> None:
+    """Refuse what is no seed.
+
+    Raises:
+        BadInput: not a whole number from 0 on that fits 31 bits.
+    """
+    if not isinstance(seed, Integral) or not 0 <= seed < 2**31:
+        raise BadInput(f"--seed {seed}: give a whole number from 0 to {2**31 - 1}")
 
 
 def call_script(main: Callable[[], None]) -> None:

@@ -1,6 +1,6 @@
 """What the motion side costs: codes a second with and without the cache, each step's share.
 
-    python scripts/bench_generation.py [SECONDS ...]
+    python scripts/bench_angie.py [SECONDS ...]
 
 Weights are random, which changes no time. The uncached baseline computes the whole window for
 every code. Shares are of the length of the sound; features, codes, decoding and refinement

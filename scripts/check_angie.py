@@ -1,6 +1,6 @@
 """What the motion side of bundles has learnt: codes, use of the sound, calm in silence, long sound.
 
-    python scripts/check_motion.py DATASET BUNDLE... -o OUT.json [--minutes 10]
+    python scripts/check_angie.py DATASET BUNDLE... -o OUT.json [--minutes 10]
 
 Everything is measured on the test clips of DATASET, which no stage of a bundle has seen, of the
 speakers that the bundle was trained on:
@@ -53,13 +53,13 @@ from scipy.cluster.vq import kmeans2, vq
 
 from angie.bundle import Bundle
 from angie.evaluation.space import onsets_within, points
+from angie.generators.angie.channels import Channels
 from angie.generators.angie.codes import STREAMS, correlation, patterns, perplexity, reconstruction
 from angie.generators.angie.family import NAME, load_generator, load_vq
 from angie.generators.angie.generate import AngieGenerator
 from angie.generators.angie.report import audio_sensitivity
 from angie.generators.angie.train import code_windows
 from angie.metrics.beats import consistency, usual_steps
-from angie.motion.channels import Channels
 from angie.motion.clips import MotionClip, read_clips
 from angie.motion.statistics import MotionStatistics
 from angie.motion.windows import WINDOW, MotionWindows

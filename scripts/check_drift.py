@@ -16,10 +16,10 @@ from torch import Tensor
 
 from angie.bundle import Bundle
 from angie.evaluation.definitions import PIXEL
-from angie.generators.angie.family import load_generator
+from angie.generators import family
 from angie.motion.clips import MotionClip, read_clips
 from data_prep.dataset import Dataset
-from data_prep.errors import call_script
+from data_prep.errors import BadInput, call_script
 
 SPANS = ((1, 48), (48, 96), (96, 192), (192, None))
 """First frame and end of the spans."""
@@ -39,11 +39,14 @@ def errors(clips: list[MotionClip], shift_of: Callable[[MotionClip], Tensor]) ->
 
 def through(bundle: Bundle) -> Callable[[MotionClip], Tensor]:
     """Gives the shifts of a clip as its codes, or the regression, give them back."""
-    generator, speakers = load_generator(bundle), bundle.statistics().speakers
+    generator, speakers = bundle.generator(), bundle.statistics().speakers
+    reconstruct = family(bundle.chosen()).reconstruct
+    if reconstruct is None:
+        raise BadInput(f"{bundle.folder}: its generator has nothing to reconstruct motion by")
 
     def shifts(clip: MotionClip) -> Tensor:
         speaker = clip.speaker if clip.speaker in speakers else None
-        return generator.reconstruct(clip.speech, clip.motion, speaker).shift
+        return reconstruct(generator, clip, speaker).shift
 
     return shifts
 

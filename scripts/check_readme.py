@@ -56,7 +56,7 @@ LONG = (
     "angie phantom -o DIR --minutes 20",
     "angie ablate",
     "python scripts/bench_",
-    "python scripts/check_motion.py",
+    "python scripts/check_angie.py",
     "python scripts/check_real.py",
     "python scripts/compare_renderers.py",
     "python scripts/teach_renderer.py",

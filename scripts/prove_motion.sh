@@ -57,7 +57,7 @@ learnt() { # BUNDLE SEED SETTINGS...: its motion stages
 
 checked() { # NAME BUNDLES...: WORK/NAME.json, once it holds all of them
   [ -f "$work/$1.json" ] && return
-  "${python[@]}" "$here/check_motion.py" "$set" "${@:2}" -o "$work/$1.part"
+  "${python[@]}" "$here/check_angie.py" "$set" "${@:2}" -o "$work/$1.part"
   mv "$work/$1.part" "$work/$1.json"
 }
 

@@ -37,7 +37,7 @@ def test_every_script_has_help(run, name):
     ("arguments", "words"),
     [
         (["bench_frames.py", "{tmp}"], "dataset.json"),
-        (["bench_generation.py", "0"], "above 0"),
+        (["bench_angie.py", "0"], "above 0"),
         (["ship_default.py", "{tmp}"], "not a speaker bundle"),
         (["teach_renderer.py", "{tmp}", "{tmp}", "{tmp}/out"], "20 regions are taught, not 12"),
         (["refit_renderer.py", "{tmp}/none.safetensors", "{tmp}/out"], "none.safetensors: not the"),

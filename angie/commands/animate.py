@@ -32,7 +32,7 @@ from angie.commands.options import (
     square_of,
     want_file,
 )
-from data_prep.errors import BadInput
+from data_prep.errors import BadInput, check_choice
 from data_prep.progress import begin, console
 from data_prep.rates import FPS
 
@@ -87,16 +87,14 @@ def animate(
     force: Force = False,
 ) -> None:
     """Make the person of a photo gesture to a recording, or as in a driving video."""
-    from data_prep.files import check_apart, check_output
+    from data_prep.files import check_apart, check_mp4, check_output
 
     check_output(output, force=force)
-    if output.suffix.lower() != ".mp4":
-        raise BadInput(f"{output}: the video is an mp4; let its name end in .mp4")
+    check_mp4(output)
     want_file(photo, "photo")
     if audio is not None:
         want_file(audio, "recording")
-    if scale_motion not in ("none", "hull"):
-        raise BadInput(f"--scale-motion {scale_motion}: choose none or hull")
+    check_choice("--scale-motion", scale_motion, ("none", "hull"))
     given = None if crop is None else square_of(crop)
     heard = None if audio is None or drive is not None else begin(_heard, audio)
     square = _found(photo, person) if given is None else lambda: given
@@ -249,6 +247,7 @@ def codebook(
     codes: Annotated[
         int, typer.Option(min=1, max=24, help="Number of pairs of codes, one per row.")
     ] = 6,
+    generator: Generator = None,
     person: Person = None,
     force: Force = False,
 ) -> None:
@@ -256,10 +255,13 @@ def codebook(
     for photo in photos:
         want_file(photo, "photo")
     from angie.bundle import Bundle
-    from angie.generators.angie.code_sheet import code_sheet
+    from angie.generators import family
 
-    sheet = code_sheet(Bundle.open(bundle), photos, output, count=codes, person=person, force=force)
-    print(f"{sheet.picture}, {sheet.video}: {len(sheet.pairs)} pairs of codes")
+    opened = Bundle.open(bundle)
+    found = family(opened.chosen(generator))
+    if found.codes_shown is None:
+        raise BadInput(f"--generator {found.name}: has no codes to show")
+    print(found.codes_shown(opened, photos, output, count=codes, person=person, force=force))
 
 
 def ablate(

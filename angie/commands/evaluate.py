@@ -18,7 +18,7 @@ from angie.commands.options import (
     device_of,
     want_file,
 )
-from data_prep.errors import BadInput
+from data_prep.errors import BadInput, check_choice
 from data_prep.progress import console
 
 
@@ -89,8 +89,7 @@ def evaluate(
     """Score generators, baselines and the truth on the test clips of a dataset."""
     if output is None:
         raise BadInput("--output: name the folder of the report, -o REPORT")
-    if start not in ("truth", "pose"):
-        raise BadInput(f"--start {start}: choose truth or pose")
+    check_choice("--start", start, ("truth", "pose"))
     for path, what in ((fgd, "autoencoder of a report"), (perceptual_weights, "weights")):
         if path is not None:
             want_file(path, what)

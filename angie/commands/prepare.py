@@ -8,7 +8,7 @@ import typer
 
 from angie import __version__
 from angie.commands.options import Force, Jobs, Seed, cores, square_of
-from data_prep.errors import BadInput
+from data_prep.errors import BadInput, check_choice
 
 
 def phantom(
@@ -90,8 +90,8 @@ def prepare(
     places = [*(videos or []), *(folder or [])]
     if not places:
         raise BadInput("no video given; name videos or folders of videos")
-    if person not in (None, "left", "right", "largest"):
-        raise BadInput(f"--person {person}: choose left, right or largest")
+    if person is not None:
+        check_choice("--person", person, ("left", "right", "largest"))
     if not 2 * shortest <= longest <= 60:
         raise BadInput(f"--longest {longest:g}: must be twice --shortest {shortest:g}, at most 60")
     if add and force:

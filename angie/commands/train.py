@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from angie.commands.options import Device, Force, Generator, Seed, Settings, device_of, want_file
-from data_prep.errors import BadInput
+from data_prep.errors import BadInput, check_choice
 
 
 def train(
@@ -54,8 +54,7 @@ def train(
 
     known = (output / "bundle.json").exists() and (resume or not force)
     chosen = find(preset or "lite", generator) if preset or not known else None
-    if precision not in ("auto", "32-true", "bf16-mixed", "16-mixed"):
-        raise BadInput(f"--precision {precision}: choose from auto, 32-true, bf16-mixed, 16-mixed")
+    check_choice("--precision", precision, ("auto", "32-true", "bf16-mixed", "16-mixed"))
     if device != "auto":
         device_of(device)
     how = RunConfig(device=device, devices=devices, precision=precision, workers=workers)

@@ -9,7 +9,7 @@ their own by an entry point of the group "angie.generators" that names a `Family
 
 from collections.abc import Callable
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from data_prep.errors import BadInput
 
@@ -29,6 +29,17 @@ def _angie() -> "Family":
     from angie.generators.angie.family import FAMILY
 
     return FAMILY
+
+
+def upgraded(manifest: dict[str, Any]) -> dict[str, Any]:
+    """The manifest of format 2 of a bundle of format 1, which knew ANGIE alone.
+
+    Raises:
+        ValueError: settings that are no longer there.
+    """
+    from angie.generators.angie.format1 import upgrade
+
+    return upgrade(manifest)
 
 
 GENERATORS: dict[str, Callable[[], "Family"]] = {"angie": _angie}
@@ -59,5 +70,5 @@ def family(name: str | None = None) -> "Family":
             ) from error
         return found
     raise BadInput(
-        f"--generator {name}: there is no such generator; there are {', '.join(names())}"
+        f"--generator {name}: there is no such generator; choose from {', '.join(names())}"
     )

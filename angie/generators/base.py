@@ -184,6 +184,8 @@ class Family:
         variants: of ablations, in the order of the table.
         columns: of that table, beside the scores: shares of the frames of clips.
         report: what `angie info` says of a part, a phrase each, from its report and the settings.
+        codes_shown: draws codes on photos, for `angie codebook`: from a bundle, photos and the
+            output, with `count`, `person` and `force`; None where a generator has no codes.
         reconstruct: a clip's motion through the generator's own tokens, given its name as
             `speaker` or None; None where a generator has none.
     """
@@ -202,6 +204,7 @@ class Family:
         default_factory=dict
     )
     report: Callable[[str, dict[str, Any], Any], list[str]] = lambda stage, report, settings: []
+    codes_shown: Callable[..., str] | None = None
     reconstruct: Callable[[GestureGenerator, MotionClip, str | None], Motion] | None = None
 
     def preset(self, name: str) -> Any:

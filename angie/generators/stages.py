@@ -43,7 +43,7 @@ class Parts(Protocol):
         ...
 
     def tensors(self, part: str) -> dict[str, Tensor]:
-        """Tensors of a part, such as "angie.refiner", after checking that it is whole."""
+        """Tensors of a part, such as "mine.decoder", after checking that it is whole."""
         ...
 
     def load(self, part: str, model: Any) -> Any:

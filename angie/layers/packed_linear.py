@@ -95,11 +95,8 @@ def _pack(model: nn.Module, dtype: torch.dtype) -> None:
             _pack(child, dtype)
         elif min(child.in_features, child.out_features) >= LEAST:
             follower = children[place + 1] if place + 1 < len(children) else ("", None)
-            gelu = isinstance(model, nn.Sequential) and _is_exact_gelu(follower[1])
+            gelu = isinstance(model, nn.Sequential) and isinstance(follower[1], nn.GELU)
+            gelu = gelu and follower[1].approximate == "none"
             setattr(model, name, PackedLinear(child, gelu=gelu, dtype=dtype))
             if gelu:
                 setattr(model, follower[0], nn.Identity())
-
-
-def _is_exact_gelu(module: nn.Module | None) -> bool:
-    return isinstance(module, nn.GELU) and module.approximate == "none"

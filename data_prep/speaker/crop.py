@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from data_prep.errors import BadInput
+from data_prep.errors import BadInput, check_choice
 from data_prep.rates import IMAGE_SIZE
 from data_prep.speaker.faces import Face, find_faces, find_people, median_face
 
@@ -46,8 +46,7 @@ def choose_person(faces: Sequence[Face], person: str) -> int:
     Raises:
         BadInput: no such way to choose.
     """
-    if person not in PEOPLE:
-        raise BadInput(f"--person {person}: choose from {', '.join(PEOPLE)}")
+    check_choice("--person", person, PEOPLE)
     numbers = range(len(faces))
     if person == "largest":
         return max(numbers, key=lambda i: faces[i].h)

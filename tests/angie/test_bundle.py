@@ -77,12 +77,26 @@ def test_a_part_trained_on_another_renderer_is_refused(copy):
         Bundle.open(copy).generator()
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 1}', '{"format": "x"}'])
-def test_a_damaged_manifest_is_one_line(copy, text):
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "damaged (Expecting value"),
+        ("{", "damaged (Expecting property name"),
+        ("[]", "an entry is of another kind"),
+        ("{}", "lacks 'format'"),
+        ('{"format": 1}', "lacks 'config'"),
+        ('{"format": 2, "config": {}}', "lacks 'parts'"),
+        ('{"format": 2, "config": {"hat": 1}, "parts": {}}', "hat: no such setting"),
+        ('{"format": 2, "config": {}, "parts": {"renderer": {}}}', "renderer is not described"),
+        ('{"format": "x"}', "an entry is of another kind"),
+    ],
+)
+def test_a_damaged_manifest_is_one_line(copy, text, words):
     (copy / "bundle.json").write_text(text)
     with pytest.raises(BadInput) as error:
         Bundle.open(copy)
-    assert "\n" not in str(error.value)
+    assert words in str(error.value) and "\n" not in str(error.value)
+    assert str(error.value).startswith(f"{copy / 'bundle.json'}: ")
 
 
 def test_half_precision_loads_into_float32():

@@ -143,9 +143,15 @@ def test_what_cannot_be_is_told_before_anything_is_made(photo, speech, bundle, t
     for options, words in (
         ({"scale_motion": "arms"}, "--scale-motion arms: choose from none, hull"),
         ({"style": "adam"}, "one style only; models trained with gpt.joint=true"),
+        ({"seed": -1}, "--seed -1: give a whole number from 0"),
+        ({"seed": 0.5}, "--seed 0.5: give a whole number"),
+        ({"controls": 3}, "controls 3: ANGIE has none"),
     ):
         with pytest.raises(BadInput, match=words):
             pipe(photo, speech, **options)
+    with pytest.raises(BadInput, match=r"a\.avi: the video is an mp4"):
+        pipe(photo, speech).save(tmp_path / "a.avi")
+    assert list(tmp_path.iterdir()) == []
     for image, words in (
         (np.zeros((64, 64), np.uint8), r"photo: an array is \(H, W, 3\) uint8"),
         (np.zeros((64, 64, 3), np.float32), "not .* float32"),

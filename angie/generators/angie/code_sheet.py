@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
+import imageio.v3 as iio
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -140,14 +141,6 @@ def code_sheet(
 ) -> Sheet:
     """Draw codes on photos: a PNG, and an mp4 of the same name in which they move.
 
-    Args:
-        bundle: a complete bundle of regions.
-        photos: at least one.
-        output: the PNG to write.
-        count: pairs of codes, the rows.
-        person: as in `angie.pipeline`.
-        force: replace existing outputs.
-
     Raises:
         BadInput: an input that cannot be used; nothing is left behind.
     """
@@ -171,7 +164,7 @@ def code_sheet(
     grid = np.pad(grid, ((0, 0), (0, missing), (0, 0)), constant_values=255)
     strips = [_histogram(generator.vq, name, grid.shape[1]) for name in ("shift", "cholesky")]
     with whole_file(output, force=force) as picture, whole_file(video, force=force) as film:
-        _write_picture(picture, np.concatenate([grid, *strips]))
+        iio.imwrite(picture, np.concatenate([grid, *strips]), extension=".png")
         _write_film(film, frames, pairs)
     return Sheet(output, video, pairs)
 
@@ -220,10 +213,13 @@ def _row(text: str, cells: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
     """Cells side by side under a line of text."""
     images = np.concatenate(cells, axis=1)
     line = np.full((LABEL, images.shape[1], 3), 255, np.uint8)
-    cv2.putText(
-        line, text, (4, LABEL - 7), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (0, 0, 0), 1, cv2.LINE_AA
-    )
-    return np.concatenate([line, images])
+    return np.concatenate([_written(line, text), images])
+
+
+def _written(image: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
+    """The image with a line of text at its top."""
+    font, black = cv2.FONT_HERSHEY_SIMPLEX, (0, 0, 0)
+    return cv2.putText(image, text, (4, LABEL - 7), font, 0.42, black, 1, cv2.LINE_AA)  # type: ignore[return-value]
 
 
 def _histogram(vq: object, name: str, width: int) -> NDArray[np.uint8]:
@@ -240,14 +236,7 @@ def _histogram(vq: object, name: str, width: int) -> NDArray[np.uint8]:
         f"{name}: {int(book.used())} of {len(usage)} codes used, "
         f"perplexity {float(book.perplexity()):.0f}"
     )
-    cv2.putText(
-        strip, text, (4, LABEL - 7), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (0, 0, 0), 1, cv2.LINE_AA
-    )
-    return strip
-
-
-def _write_picture(path: Path, image: NDArray[np.uint8]) -> None:
-    path.write_bytes(cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes())
+    return _written(strip, text)
 
 
 def _write_film(path: Path, frames: list[list[NDArray[np.uint8]]], pairs: list[CodePair]) -> None:

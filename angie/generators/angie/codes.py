@@ -1,13 +1,14 @@
 """Motion windows to codes and to pattern motion, and how much of the motion patterns keep."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
+from angie.generators.angie.channels import Channels
 from angie.generators.angie.direct import DirectMotion
 from angie.generators.angie.tokenizer import VQMotionExtractor
-from angie.motion.channels import Channels
 from angie.motion.clips import MotionClip
 from angie.motion.drift import activity
 from angie.motion.windows import WINDOW, MotionWindows
@@ -17,16 +18,22 @@ STREAMS = ("shift", "cholesky")
 """Names of the streams in curves and reports."""
 
 
+@contextmanager
+def evaluating(model: nn.Module) -> Iterator[None]:
+    """A model in evaluation mode and without gradients, and afterwards as it was."""
+    training = model.training
+    model.eval()
+    with torch.no_grad():
+        yield
+    model.train(training)
+
+
 @torch.no_grad()
-def encode_windows(vq: VQMotionExtractor, windows: MotionWindows, at_once: int = 64) -> Tensor:
+def encode_windows(vq: VQMotionExtractor, windows: MotionWindows) -> Tensor:
     """Codes (n, streams, 12) on the CPU of all windows."""
-    windows = windows.choose(["poses"])
     channels = Channels.of(windows.statistics, vq.config.quant)
-    codes = []
-    for first in range(0, len(windows), at_once):
-        poses = windows.stack("poses", first, first + at_once)
-        codes.append(vq.encode(channels.normalise(poses).to(vq.mean.device)).cpu())
-    return torch.cat(codes)
+    values = (channels.normalise(group["poses"]) for group in windows.groups("poses"))
+    return torch.cat([vq.encode(value.to(vq.mean.device)).cpu() for value in values])
 
 
 @torch.no_grad()
@@ -70,9 +77,7 @@ def decode_windows(vq: VQMotionExtractor, codes: Tensor, at_once: int = 64) -> T
 
 
 @torch.no_grad()
-def patterns(
-    model: VQMotionExtractor | DirectMotion, windows: MotionWindows, at_once: int = 64
-) -> Tensor:
+def patterns(model: VQMotionExtractor | DirectMotion, windows: MotionWindows) -> Tensor:
     """Normalised pattern motion (n, T, 5K) on the CPU of all windows.
 
     Of the codes of the true motion, in the context that `model` is used in, those of clips
@@ -84,11 +89,10 @@ def patterns(
         codes = encode_clips(model, windows)
         clips = {i: model.decode_chunked(one.to(model.mean.device)) for i, one in codes.items()}
         return torch.stack([clips[i][at : at + windows.frames] for i, at in windows.places])
-    heard, device = windows.choose(["onset", "speaker"]), model.mean.device
     parts = []
-    for first in range(0, len(windows), at_once):
-        onset, who = (heard.stack(p, first, first + at_once) for p in ("onset", "speaker"))
-        parts.append(model(onset.to(device), who.to(device)).float().cpu())
+    for group in windows.groups("onset", "speaker"):
+        onset, who = (part.to(model.mean.device) for part in group.values())
+        parts.append(model(onset, who).float().cpu())
     return torch.cat(parts)
 
 
@@ -110,18 +114,15 @@ def reconstruction(vq: VQMotionExtractor, windows: MotionWindows) -> dict[str, f
         for each stream `<name>_perplexity` and `<name>_used` codes, and `joint_perplexity` of
         the pairs of codes.
     """
-    training = vq.training
-    vq.eval()
-    codes = encode_windows(vq, windows)
     channels = Channels.of(windows.statistics, vq.config.quant)
     split, error, made, true = 2 * vq.config.regions, 0.0, [], []
-    for first in range(0, len(windows), 64):
-        poses = windows.stack("poses", first, first + 64)
-        decoded = decode_windows(vq, codes[first : first + 64])
-        error += float((decoded - channels.normalise(poses)).abs().mean()) * len(poses)
-        made.append(channels.integrate(decoded, poses[:, 1])[..., :split])
-        true.append(poses[:, 1:, :split])
-    vq.train(training)
+    with evaluating(vq):
+        codes = encode_windows(vq, windows)
+        for some, group in zip(codes.split(64), windows.groups("poses"), strict=True):
+            poses, decoded = group["poses"], decode_windows(vq, some)
+            error += float((decoded - channels.normalise(poses)).abs().mean()) * len(poses)
+            made.append(channels.integrate(decoded, poses[:, 1])[..., :split])
+            true.append(poses[:, 1:, :split])
     pattern, truth = torch.cat(made), torch.cat(true)
     scores = {"error": error / len(windows)}
     scores["correlation"] = correlation(pattern, truth)

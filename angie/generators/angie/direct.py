@@ -18,13 +18,7 @@ from data_prep.rates import FRAMES_PER_TOKEN
 
 
 class DirectMotion(nn.Module):
-    """Onset features to normalised deltas.
-
-    Args:
-        vq: sizes of the decoders.
-        gpt: sizes of the transformer.
-        speakers: of the training set, for `gpt.joint`.
-    """
+    """Onset features to normalised deltas."""
 
     mean: Tensor
 

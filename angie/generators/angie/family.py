@@ -1,8 +1,7 @@
 """ANGIE (NeurIPS 2022) as a family of generators: its stages, and how a bundle's is loaded."""
 
+from pathlib import Path
 from typing import Any
-
-from torch import nn
 
 from angie.generators.angie.direct import DirectMotion
 from angie.generators.angie.generate import AngieGenerator
@@ -17,7 +16,6 @@ from angie.generators.base import Family, GestureGenerator
 from angie.generators.stages import Parts, Stage, StageContext, Trained
 from angie.layers.packed_linear import pack, product_type
 from angie.motion.clips import MotionClip
-from angie.motion.statistics import MotionStatistics
 from data_prep.errors import BadInput
 from mraa.motion import Motion
 
@@ -128,10 +126,6 @@ def _vq_sizes(settings: AngieSettings) -> dict[str, Any]:
     return {"vq": sizes} | ({} if settings.has_codes else {"gpt": settings.gpt})
 
 
-def _gpt_sizes(settings: AngieSettings) -> dict[str, Any]:
-    return {"gpt": settings.gpt, "context": settings.vq.context}  # what the codes mean
-
-
 def _refiner_sizes(settings: AngieSettings) -> dict[str, Any]:
     context = {"context": settings.vq.context} if settings.has_codes else {}
     return {"refiner": settings.refiner, **context}
@@ -142,21 +136,17 @@ def _grids(settings: AngieSettings) -> dict[str, Any]:
     return {"grids": settings.train_gpt.grids}
 
 
-def _vq_grids(settings: AngieSettings) -> dict[str, Any]:
-    return {} if settings.has_codes else _grids(settings)
+def _codes_shown(bundle: Any, photos: list[Path], output: Path, **options: Any) -> str:
+    """Draw codes on photos; what was made, in a line."""
+    from angie.generators.angie.code_sheet import code_sheet
 
-
-def _styles(settings: AngieSettings, statistics: MotionStatistics) -> tuple[str, ...]:
-    return statistics.speakers if settings.gpt.joint else ()
+    sheet = code_sheet(bundle, photos, output, **options)
+    return f"{sheet.picture}, {sheet.video}: {len(sheet.pairs)} pairs of codes"
 
 
 def _reconstruct(generator: GestureGenerator, clip: MotionClip, speaker: str | None) -> Motion:
     assert isinstance(generator, AngieGenerator)
     return generator.reconstruct(clip.speech, clip.motion, speaker)
-
-
-def _build_gpt(settings: AngieSettings) -> nn.Module:
-    return CoSpeechGPT(settings.gpt)
 
 
 FAMILY = Family(
@@ -165,9 +155,14 @@ FAMILY = Family(
     settings=AngieSettings,
     presets={"lite": lite, "tiny": tiny},
     stages=(
-        Stage("vq", ("renderer", "statistics"), _vq, _vq_sizes, make_vq, resumes=_vq_grids),
         Stage(
-            "gpt", ("statistics", "vq"), _gpt, _gpt_sizes, _build_gpt,
+            "vq", ("renderer", "statistics"), _vq, _vq_sizes, make_vq,
+            resumes=lambda settings: {} if settings.has_codes else _grids(settings),
+        ),
+        Stage(
+            "gpt", ("statistics", "vq"), _gpt,
+            lambda settings: {"gpt": settings.gpt, "context": settings.vq.context},
+            lambda settings: CoSpeechGPT(settings.gpt),
             wanted=lambda settings: settings.has_codes, resumes=_grids,
         ),
         Stage(
@@ -177,10 +172,11 @@ FAMILY = Family(
     ),
     load=load_generator,
     fit=fit,
-    styles=_styles,
+    styles=lambda settings, statistics: statistics.speakers if settings.gpt.joint else (),
     style_advice="gpt.joint=true",
     variants=VARIANTS,
     columns={"C broken": broken_share},
     report=in_words,
+    codes_shown=_codes_shown,
     reconstruct=_reconstruct,
 )  # fmt: skip

@@ -6,6 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from angie.generators.angie.channels import Channels
 from angie.generators.angie.codes import encode_whole
 from angie.generators.angie.direct import DirectMotion
 from angie.generators.angie.gpt import CoSpeechGPT
@@ -13,7 +14,6 @@ from angie.generators.angie.refiner import Refiner
 from angie.generators.angie.sampling import Sampling, Window, continue_codes
 from angie.generators.angie.tokenizer import VQMotionExtractor
 from angie.generators.base import GestureGenerator
-from angie.motion.channels import Channels
 from angie.motion.drift import MODES, Anchors, activity, bounded, integrate_bounded, remove_mean
 from angie.motion.statistics import MotionStatistics
 from angie.motion.windows import BLENDS, WINDOW
@@ -135,29 +135,18 @@ class AngieGenerator(GestureGenerator):
         greedy: bool | None = False,
         start_codes: Tensor | None = None,
     ) -> Motion:
-        """Gesture to speech; see `GestureGenerator.generate` for what is not named here.
+        """Gesture to speech; see `GestureGenerator.generate` for the arguments.
 
-        Args:
-            speech: features of the whole recording.
-            start: pose of the photo, one frame.
-            frames: number of frames T to make.
-            seed: of the sampling.
-            speaker: a speaker of the training set who gestures: in their style, and in long
-                motion around their rest pose; None takes the start pose for rest.
-            style: a speaker of the training set whose style alone is taken; None takes that of
-                `speaker`. Joint models alone tell styles apart.
-            seed_motion: the first pair of codes of it begins the motion (the protocol of the
-                papers' tables); None begins still.
-            controls: there are none.
-            greedy: always the likeliest code; False draws it from the likeliest ones.
-            start_codes: (streams, P) codes to begin with in place of those of `seed_motion`.
+        The first pair of codes of `seed_motion` begins the motion (the protocol of the papers'
+        tables), or else `start_codes` (streams, P); without either it begins still. Joint models
+        alone tell styles apart; there are no `controls`.
 
         Raises:
             ValueError: speech of fewer than `frames` frames, or a start pose of other regions.
             BadInput: an unknown speaker or style.
         """
         if controls is not None:
-            raise ValueError("this generator has no controls")
+            raise BadInput(f"controls {controls!r}: ANGIE has none; leave them out")
         if isinstance(style, Tensor):
             raise BadInput("--style: this generator knows styles by the names of speakers only")
         if start_codes is None and seed_motion is not None:

@@ -61,12 +61,7 @@ class GPTConfig:
 
 
 class CoSpeechGPT(nn.Module):
-    """Logits of the next codes of all streams.
-
-    Args:
-        config: architecture.
-        speakers: speakers P of the training set, for `config.joint`.
-    """
+    """Logits of the next codes of all streams."""
 
     def __init__(self, config: GPTConfig, speakers: int = 1) -> None:
         super().__init__()

@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from angie.generators.angie.channels import Channels
 from angie.generators.angie.codes import (
     decoding_errors,
     encode_clips,
@@ -25,7 +26,6 @@ from angie.generators.angie.gpt import CoSpeechGPT
 from angie.generators.angie.tokenizer import VQMotionExtractor
 from angie.generators.angie.train import code_windows, stream_entropies
 from angie.generators.base import GestureGenerator
-from angie.motion.channels import Channels
 from angie.motion.clips import MotionClip
 from angie.motion.windows import MotionWindows
 
@@ -60,11 +60,6 @@ def audio_sensitivity(
     The mismatched sound of a window is that of the same speaker's window half of their windows
     away, so that another voice does not give it away; where that is of the same clip the window
     does not count, and without any left there is no result.
-
-    Args:
-        gpt: trained.
-        windows: training windows with `codes`, for the order-2 model.
-        held_out: of other clips.
     """
     other = far_windows(held_out)
     apart = [i for i, far in enumerate(other) if held_out.places[i][0] != held_out.places[far][0]]

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from angie.generators.angie.channels import QUANTS
 from angie.layers.vqvae import Codebook, Decoder, Encoder, Quantized
-from angie.motion.channels import QUANTS
 from angie.motion.windows import WINDOW_TOKENS, cross_fade
 from data_prep.rates import FRAMES_PER_TOKEN
 
@@ -40,7 +40,7 @@ class VQConfig:
         decay: of the codebook's moving averages.
         restart_below: moving count below which an entry restarts; 0 for never.
         quant: what is quantised, "full" or a variant of the paper's Table 3; see
-            `angie.motion.channels`.
+            `angie.generators.angie.channels`.
         streams: 2 are shift and Cholesky factor, 1 is shift alone (keypoints).
         context: what GPT and refiner learn: codes of windows by themselves, as in the paper, or
             "clip", of whole clips in one pass. A code depends on all of its window and on the

@@ -1,16 +1,24 @@
 """Training of ANGIE's parts: the VQ motion extractor, the co-speech GPT, and motion without codes.
 
 Each is a loss and a score; steps, checkpoints and the choice of the best weights are `Run`'s.
+
+What trains takes `begin`, which begins the run of so many steps, training windows, windows of
+other clips to choose the weights by (or None), the architecture and how to train, and returns the
+trained network on the CPU in evaluation mode. Extractors that are given are trained, and frozen.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Protocol
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
+from angie.generators.angie.channels import Channels
 from angie.generators.angie.codes import (
     STREAMS,
+    evaluating,
     mean_for_activity,
     patterns,
     reconstruction,
@@ -19,7 +27,6 @@ from angie.generators.angie.codes import (
 from angie.generators.angie.direct import DirectMotion
 from angie.generators.angie.gpt import CoSpeechGPT, GPTConfig
 from angie.generators.angie.tokenizer import VQConfig, VQMotionExtractor
-from angie.motion.channels import Channels
 from angie.motion.windows import STRIDE, MotionWindows, check_stride
 from data_prep.rates import FRAMES_PER_TOKEN
 from mraa.training.checkpoint import Schedule
@@ -87,18 +94,8 @@ def train_vq(
     """Train the VQ motion extractor (ANGIE, equation 9).
 
     Loss: mean absolute error of the deltas, shift and Cholesky stream each, and the commitment
-    (under `update="loss"` also the codebook's) mean squared error.
-
-    Args:
-        begin: begins the run.
-        windows: training windows; `poses` is used.
-        held_out: windows of other clips, to watch reconstruction and use of the codes on; or
-            None.
-        config: architecture.
-        training: how to train.
-
-    Returns:
-        The trained extractor in evaluation mode, its `mean` measured.
+    (under `update="loss"` also the codebook's) mean squared error. Reconstruction and use of the
+    codes are watched on held-out windows; at the end the extractor's `mean` is measured.
     """
     windows = windows.choose(["poses"])
     schedule, items = training.schedule, len(windows)
@@ -202,38 +199,63 @@ def train_gpt(
 
     Loss: cross-entropy of both streams, added. With held-out windows the weights with the lowest
     held-out cross-entropy are the result, and training stops when they no longer improve.
-
-    Args:
-        begin: begins the run.
-        vq: the trained extractor, frozen.
-        windows: training windows.
-        held_out: windows of clips that are not in `windows`, or None.
-        config: architecture.
-        training: how to train.
-
-    Returns:
-        The trained GPT in evaluation mode.
     """
-    schedule, items = training.schedule, len(windows)
-    run = begin(schedule.steps(items))
+    run = begin(training.schedule.steps(len(windows)))
     vq = vq.to(run.device)
     windows = code_windows(vq, windows)
-    held_out = None if held_out is None else code_windows(vq, held_out)
     speakers = len(windows.statistics.speakers)
     gpt = CoSpeechGPT(config, speakers)
-    model = run.add("gpt", gpt, schedule.adam(gpt), schedule.milestone_steps(items))
-    batches = run.batches(windows, schedule.batch)
-    for _ in run.steps():
-        batch = next(batches)
+
+    def losses(model: nn.Module, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         codes, onset = batch["codes"], batch["onset"]
         who = speaker_dropout(batch["speaker"], speakers) if config.joint else None
-        loss = gpt.loss(model(codes[..., :-1], onset[:, 1:], who), codes[..., 1:])
-        run.update(loss, "gpt", clip=schedule.clip)
-        if held_out is not None and run.due(training.checks):
-            run.keep_best(cross_entropy(gpt, held_out), training.patience)
-        run.log(loss=loss)
+        return {"loss": gpt.loss(model(codes[..., :-1], onset[:, 1:], who), codes[..., 1:])}
+
+    score = None if held_out is None else partial(cross_entropy, gpt, code_windows(vq, held_out))
+    fit(run, "gpt", gpt, windows, training, losses, score, training.patience)
+    return gpt.cpu()
+
+
+class Training(Protocol):
+    """What `fit` has to know of how to train."""
+
+    @property
+    def schedule(self) -> Schedule:
+        """Rate, batch and steps."""
+
+    @property
+    def checks(self) -> int:
+        """Evaluations."""
+
+
+def fit(
+    run: Run,
+    name: str,
+    model: nn.Module,
+    windows: MotionWindows,
+    training: Training,
+    losses: Callable[[nn.Module, dict[str, Tensor]], dict[str, Tensor]],
+    score: Callable[[], float] | None,
+    patience: int = 0,
+) -> None:
+    """Minimise the sum of the losses of batches; with a score, keep the weights with the lowest.
+
+    `model`: to be trained; in evaluation mode afterwards. `losses`: of a batch by their names,
+    given the model as the run wraps it. `score`: of the model on other windows; None without any.
+    `patience`: evaluations without improvement after which training stops; 0 for never.
+    """
+    schedule, items = training.schedule, len(windows)
+    wrapped = run.add(name, model, schedule.adam(model), schedule.milestone_steps(items))
+    batches = run.batches(windows, schedule.batch)
+    for _ in run.steps():
+        parts = losses(wrapped, next(batches))
+        loss = torch.stack(list(parts.values())).sum()
+        run.update(loss, name, clip=schedule.clip)
+        if score is not None and run.due(training.checks):
+            run.keep_best(score(), patience)
+        run.log(**{**parts, "loss": loss})
     run.restore_best()
-    return gpt.eval().cpu()
+    model.eval()
 
 
 def code_windows(vq: VQMotionExtractor, windows: MotionWindows) -> MotionWindows:
@@ -246,9 +268,8 @@ def cross_entropy(gpt: CoSpeechGPT, windows: MotionWindows) -> float:
     return float(stream_entropies(gpt, windows).sum())
 
 
-@torch.no_grad()
 def stream_entropies(
-    gpt: CoSpeechGPT, windows: MotionWindows, onset: Tensor | None = None, at_once: int = 64
+    gpt: CoSpeechGPT, windows: MotionWindows, onset: Tensor | None = None
 ) -> Tensor:
     """Mean cross-entropy (streams,) of the codes 2 to 12 of windows, in nats per code.
 
@@ -256,21 +277,18 @@ def stream_entropies(
         gpt: of any mode, which it keeps.
         windows: with `onset`, `speaker` and `codes`.
         onset: (n, 12, 426) other sound in place of the windows' own.
-        at_once: windows computed together.
     """
-    device, training = gpt.positions.device, gpt.training
-    gpt.eval()
+    if onset is not None:
+        windows = windows.choose(["speaker"], codes=windows.rows["codes"], onset=onset)
+    device = gpt.positions.device
     total = torch.zeros(gpt.config.streams, dtype=torch.float64)
-    for first in range(0, len(windows), at_once):
-        last = min(first + at_once, len(windows))
-        sound = windows.stack("onset", first, last) if onset is None else onset[first:last]
-        codes = windows.stack("codes", first, last).to(device)
-        who = windows.stack("speaker", first, last).to(device) if gpt.config.joint else None
-        logits = gpt(codes[..., :-1], sound[:, 1:].to(device), who)
-        for stream in range(len(total)):
-            loss = gpt.loss(logits[:, stream : stream + 1], codes[:, stream : stream + 1, 1:])
-            total[stream] += float(loss) * len(codes)
-    gpt.train(training)
+    with evaluating(gpt):
+        for group in windows.groups("onset", "codes", "speaker"):
+            sound, codes, who = (part.to(device) for part in group.values())
+            logits = gpt(codes[..., :-1], sound[:, 1:], who if gpt.config.joint else None)
+            for stream in range(len(total)):
+                loss = gpt.loss(logits[:, stream : stream + 1], codes[:, stream : stream + 1, 1:])
+                total[stream] += float(loss) * len(codes)
     return total / len(windows)
 
 
@@ -288,55 +306,33 @@ def train_direct(
 ) -> DirectMotion:
     """Train transformer and decoders end to end: mean absolute error of the normalised motion.
 
-    Args:
-        begin: begins the run.
-        windows: training windows.
-        held_out: windows of other clips, to choose the weights by; or None.
-        vq: sizes of the decoders.
-        gpt: sizes of the transformer.
-        training: how to train: that of the GPT, whose place this takes.
-
-    Returns:
-        The trained model in evaluation mode, its `mean` measured.
+    `training` is that of the GPT, whose place this takes; the model's `mean` is measured.
     """
     windows = windows.choose(["poses", "onset", "speaker"])
-    schedule, items = training.schedule, len(windows)
-    run = begin(schedule.steps(items))
-    direct = DirectMotion(vq, gpt, len(windows.statistics.speakers))
-    model = run.add("direct", direct, schedule.adam(direct), schedule.milestone_steps(items))
-    batches = run.batches(windows, schedule.batch)
+    run = begin(training.schedule.steps(len(windows)))
+    speakers = len(windows.statistics.speakers)
+    direct = DirectMotion(vq, gpt, speakers)
     channels = Channels.of(windows.statistics, vq.quant).to(run.device)
-    for _ in run.steps():
-        batch = next(batches)
-        who = speaker_dropout(batch["speaker"], len(windows.statistics.speakers))
-        made = model(batch["onset"], who)
-        errors = stream_errors(made.float(), channels.normalise(batch["poses"]), vq)
-        loss = torch.stack(list(errors.values())).sum()
-        run.update(loss, "direct", clip=schedule.clip)
-        if held_out is not None and run.due(training.checks):
-            run.keep_best(direct_error(direct, held_out), training.patience)
-        run.log(loss=loss, **errors)
-    run.restore_best()
-    direct.eval()
+
+    def losses(model: nn.Module, batch: dict[str, Tensor]) -> dict[str, Tensor]:
+        made = model(batch["onset"], speaker_dropout(batch["speaker"], speakers))
+        return stream_errors(made.float(), channels.normalise(batch["poses"]), vq)
+
+    score = None if held_out is None else partial(direct_error, direct, held_out)
+    fit(run, "direct", direct, windows, training, losses, score, training.patience)
     places = range(len(windows))
     parts = (windows.chosen(places[i : i + AT_ONCE]) for i in places[::AT_ONCE])
     direct.mean.copy_(mean_for_activity(patterns(direct, part) for part in parts))
     return direct.cpu()
 
 
-@torch.no_grad()
 def direct_error(direct: DirectMotion, windows: MotionWindows) -> float:
     """Mean absolute error of the normalised motion of windows, the streams' added."""
-    training = direct.training
-    direct.eval()
-    windows = windows.choose(["poses", "onset", "speaker"])
-    made = patterns(direct, windows)
-    channels = Channels.of(windows.statistics, direct.config.quant)
-    total = 0.0
-    for first in range(0, len(windows), 64):
-        poses = windows.stack("poses", first, first + 64)
-        true = channels.normalise(poses)
-        errors = stream_errors(made[first : first + 64], true, direct.config)
-        total += float(torch.stack(list(errors.values())).sum()) * len(poses)
-    direct.train(training)
+    channels, total = Channels.of(windows.statistics, direct.config.quant), 0.0
+    with evaluating(direct):
+        for made, group in zip(
+            patterns(direct, windows).split(64), windows.groups("poses"), strict=True
+        ):
+            errors = stream_errors(made, channels.normalise(group["poses"]), direct.config)
+            total += float(torch.stack(list(errors.values())).sum()) * len(made)
     return total / len(windows)

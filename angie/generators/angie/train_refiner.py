@@ -1,16 +1,17 @@
 """Training of the motion refiner on the patterns of a frozen VQ motion extractor."""
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from angie.generators.angie.codes import patterns
+from angie.generators.angie.channels import Channels
+from angie.generators.angie.codes import evaluating, patterns
 from angie.generators.angie.direct import DirectMotion
 from angie.generators.angie.refiner import Refiner, RefinerConfig
 from angie.generators.angie.tokenizer import VQMotionExtractor
-from angie.generators.angie.train import Begin
-from angie.motion.channels import Channels
+from angie.generators.angie.train import Begin, fit
 from angie.motion.windows import STRIDE, MotionWindows, check_stride
 from data_prep.rates import FRAMES_PER_TOKEN
 from mraa.training.checkpoint import Schedule
@@ -52,11 +53,12 @@ def pattern_windows(vq: VQMotionExtractor | DirectMotion, windows: MotionWindows
     """
     channels = Channels.of(windows.statistics, vq.config.quant)
     scale = windows.statistics.pose_scale
-    values, posed = patterns(vq, windows), windows.choose(["poses"])
-    made = []
-    for first in range(0, len(windows), 64):
-        start = posed.stack("poses", first, first + 64)[:, 1]
-        made.append(channels.integrate(values[first : first + 64], start) / scale)
+    made = [
+        channels.integrate(values, group["poses"][:, 1]) / scale
+        for values, group in zip(
+            patterns(vq, windows).split(64), windows.groups("poses"), strict=True
+        )
+    ]
     return windows.choose(["poses", "mfcc"], pattern=torch.cat(made))
 
 
@@ -65,13 +67,12 @@ def truth_of(batch: dict[str, Tensor], scale: Tensor) -> Tensor:
     return batch["poses"][:, 1:] / scale
 
 
-def drift_slopes(windows: MotionWindows, at_once: int = 64) -> Tensor:
+def drift_slopes(windows: MotionWindows) -> Tensor:
     """95th percentile (5K,) of the slope, per frame, at which patterns drift from the truth."""
     slopes = []
-    for first in range(0, len(windows), at_once):
-        batch = {part: windows.stack(part, first, first + at_once) for part in ("poses", "pattern")}
-        truth = truth_of(batch, windows.statistics.pose_scale)
-        off = (batch["pattern"] - truth)[:, -1].abs()
+    for group in windows.groups("poses", "pattern"):
+        truth = truth_of(group, windows.statistics.pose_scale)
+        off = (group["pattern"] - truth)[:, -1].abs()
         slopes.append(off / max(1, truth.shape[1] - 1))
     return torch.cat(slopes).quantile(0.95, dim=0)
 
@@ -115,59 +116,33 @@ def train_refiner(
     config: RefinerConfig,
     training: RefinerTraining,
 ) -> Refiner:
-    """Train the refiner to lead patterns of true codes to the true motion.
-
-    Args:
-        begin: begins the run.
-        vq: the trained extractor, frozen.
-        windows: training windows.
-        held_out: windows of other clips, to keep the weights that do best on them; or None.
-        config: architecture.
-        training: how to train.
-
-    Returns:
-        The trained refiner in evaluation mode.
-    """
-    schedule, items = training.schedule, len(windows)
-    run = begin(schedule.steps(items))
+    """Train the refiner to lead patterns of true codes to the true motion."""
+    run = begin(training.schedule.steps(len(windows)))
     vq = vq.to(run.device)
     windows = pattern_windows(vq, windows)
-    held_out = None if held_out is None else pattern_windows(vq, held_out)
-    refiner = Refiner(config)
-    model = run.add("refiner", refiner, schedule.adam(refiner), schedule.milestone_steps(items))
-    batches = run.batches(windows, schedule.batch)
     scale = windows.statistics.pose_scale.to(run.device)
     slopes = drift_slopes(windows).to(run.device)
-    for _ in run.steps():
-        batch = next(batches)
-        truth = truth_of(batch, scale)
+    refiner = Refiner(config)
+
+    def losses(model: nn.Module, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         pattern = add_drift(batch["pattern"], slopes, training.drifting)
-        residual = model(batch["mfcc"], pattern)
-        loss = whole_loss(residual, pattern, truth, config.channels[0], training)
-        run.update(loss, "refiner", clip=schedule.clip)
-        if held_out is not None and run.due(training.checks):
-            run.keep_best(held_out_loss(refiner, held_out, training))
-        run.log(loss=loss)
-    run.restore_best()
-    return refiner.eval().cpu()
+        residual, truth = model(batch["mfcc"], pattern), truth_of(batch, scale)
+        return {"loss": whole_loss(residual, pattern, truth, config.channels[0], training)}
+
+    score = None
+    if held_out is not None:
+        score = partial(held_out_loss, refiner, pattern_windows(vq, held_out), training)
+    fit(run, "refiner", refiner, windows, training, losses, score)
+    return refiner.cpu()
 
 
-@torch.no_grad()
-def held_out_loss(
-    refiner: Refiner, windows: MotionWindows, training: RefinerTraining, at_once: int = 64
-) -> float:
+def held_out_loss(refiner: Refiner, windows: MotionWindows, training: RefinerTraining) -> float:
     """Mean loss, as in training, of pattern windows without added drift."""
-    scale, learning = windows.statistics.pose_scale, refiner.training
-    device = refiner.shift.out.weight.device
-    refiner.eval()
-    total = 0.0
-    for first in range(0, len(windows), at_once):
-        parts = ("poses", "mfcc", "pattern")
-        batch = {part: windows.stack(part, first, first + at_once) for part in parts}
-        pattern, truth = batch["pattern"].to(device), truth_of(batch, scale).to(device)
-        residual = refiner(batch["mfcc"].to(device), pattern)
-        split = refiner.config.channels[0]
-        loss = whole_loss(residual, pattern, truth, split, training)
-        total += float(loss) * len(pattern)
-    refiner.train(learning)
+    device, total = refiner.shift.out.weight.device, 0.0
+    with evaluating(refiner):
+        for group in windows.groups("poses", "mfcc", "pattern"):
+            truth = truth_of(group, windows.statistics.pose_scale).to(device)
+            mfcc, pattern = group["mfcc"].to(device), group["pattern"].to(device)
+            residual, split = refiner(mfcc, pattern), refiner.config.channels[0]
+            total += float(whole_loss(residual, pattern, truth, split, training)) * len(pattern)
     return total / len(windows)

@@ -141,7 +141,7 @@ def test_the_command_takes_it_by_its_name(both, tmp_path, monkeypatch):
 
 def test_a_package_brings_its_family_by_an_entry_point(tmp_path, monkeypatch):
     monkeypatch.delitem(GENERATORS, "toy")
-    with pytest.raises(BadInput, match="there are angie"):
+    with pytest.raises(BadInput, match="choose from angie"):
         family("toy")
     place = tmp_path / "toy_gestures-1.0.dist-info"
     place.mkdir()

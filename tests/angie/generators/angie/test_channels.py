@@ -3,7 +3,7 @@ import dataclasses
 import pytest
 import torch
 
-from angie.motion.channels import QUANTS, Channels
+from angie.generators.angie.channels import QUANTS, Channels
 from data_prep.errors import BadInput
 from mraa.motion import Motion, deltas
 

@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from angie.generators.angie.channels import Channels
 from angie.generators.angie.codes import (
     correlation,
     decoding_errors,
@@ -17,7 +18,6 @@ from angie.generators.angie.codes import (
 )
 from angie.generators.angie.report import vq_report
 from angie.generators.angie.tokenizer import VQConfig, VQMotionExtractor
-from angie.motion.channels import Channels
 from angie.motion.windows import MotionWindows
 
 

@@ -10,7 +10,7 @@ from safetensors.torch import save_file
 
 from angie.bundle import BUNDLE, Bundle
 from angie.config import override, stored
-from angie.parts import halve
+from angie.parts import describe, halve
 from data_prep.errors import BadInput
 from data_prep.files import sha256
 from mraa.renderer import GeneratorConfig, Renderer
@@ -64,6 +64,7 @@ def test_it_is_written_as_format_2_and_stays_whole(old):
     assert manifest["format"] == 2 and "vq" not in manifest["config"]
     again = Bundle.open(old)
     assert all(again.has(part) for part in again.needed())
+    assert "format      1, made by" in describe(bundle) and "format      2," in describe(again)
     assert again.settings("angie").train_gpt.patience == 7
     assert again.settings("angie").train_vq.path_loss == 0.3  # it was called summed
 

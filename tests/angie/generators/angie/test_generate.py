@@ -269,7 +269,7 @@ def test_a_clip_is_reconstructed_through_all_its_codes(generator, make_clip):
 
 
 def test_what_the_generator_does_not_have_is_refused(generator, speech, start):
-    with pytest.raises(ValueError, match="no controls"):
+    with pytest.raises(BadInput, match="ANGIE has none"):
         generator.generate(speech, start, 8, controls=object())
     with pytest.raises(BadInput, match="names of speakers only"):
         generator.generate(speech, start, 8, style=torch.ones(2))
@@ -356,7 +356,7 @@ def test_points_without_extent(generator, clips):
 def test_windows_of_the_gpt_begin_where_seams_are_looked_for(
     generator, speech, monkeypatch, context
 ):
-    path = Path(__file__).parents[4] / "scripts" / "check_motion.py"
+    path = Path(__file__).parents[4] / "scripts" / "check_angie.py"
     borders = runpy.run_path(str(path))["borders"]
     hopping = configured(generator, window=Window("hop", context))
     assert hopping.gpt is not None

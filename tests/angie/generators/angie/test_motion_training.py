@@ -5,6 +5,7 @@ import dataclasses
 import pytest
 import torch
 
+from angie.generators.angie.channels import Channels
 from angie.generators.angie.codes import encode_windows, reconstruction
 from angie.generators.angie.direct import DirectMotion
 from angie.generators.angie.gpt import GPTConfig
@@ -30,7 +31,6 @@ from angie.generators.angie.train_refiner import (
     pattern_windows,
     train_refiner,
 )
-from angie.motion.channels import Channels
 from angie.motion.drift import remove_mean
 from angie.motion.windows import MotionWindows
 from mraa.training.checkpoint import Schedule
