@@ -56,7 +56,7 @@ def check_seed(seed: object) -> None:
     Raises:
         BadInput: not a whole number from 0 on that fits 31 bits.
     """
-    if not isinstance(seed, Integral) or not 0 <= seed < 2**31:
+    if not isinstance(seed, Integral) or not 0 <= int(seed) < 2**31:
         raise BadInput(f"--seed {seed}: give a whole number from 0 to {2**31 - 1}")
 
 

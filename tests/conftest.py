@@ -30,6 +30,13 @@ FEW_STEPS = (
     "train_refiner.schedule.most_steps=20",
 )
 
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files that need the data set come first: while one process makes it, another does others."""
+    needy = {item.path for item in items if "dataset" in getattr(item, "fixturenames", ())}
+    items.sort(key=lambda item: item.path not in needy)
+
+
 PROCESSES = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
 
 

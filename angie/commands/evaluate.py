@@ -5,19 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from angie.commands.options import (
-    Device,
-    Fgd,
-    FgdSteps,
-    Force,
-    ImageSeconds,
-    ImageStride,
-    NoImages,
-    Seed,
-    Seeds,
-    device_of,
-    want_file,
-)
+from angie.commands import options
 from data_prep.errors import BadInput, check_choice
 from data_prep.progress import console
 
@@ -45,8 +33,8 @@ def evaluate(
             help="With --videos: bundle that measures regions; the shipped one by default."
         ),
     ] = None,
-    seeds: Seeds = 1,
-    seed: Seed = 0,
+    seeds: options.Seeds = 1,
+    seed: options.Seed = 0,
     generator: Annotated[
         str | None,
         typer.Option(help="Score this generator of each bundle; by default all of them."),
@@ -55,14 +43,14 @@ def evaluate(
         str,
         typer.Option(help="Begin with the clip's own motion (truth) or still, as a photo (pose)."),
     ] = "truth",
-    no_images: NoImages = False,
-    image_stride: ImageStride = 25,
-    image_seconds: ImageSeconds = 0.0,
+    no_images: options.NoImages = False,
+    image_stride: options.ImageStride = 25,
+    image_seconds: options.ImageSeconds = 0.0,
     videos_shown: Annotated[
         int, typer.Option(min=0, help="Number of clips to make side-by-side videos of.")
     ] = 2,
-    fgd: Fgd = None,
-    fgd_steps: FgdSteps = 3000,
+    fgd: options.Fgd = None,
+    fgd_steps: options.FgdSteps = 3000,
     truth: Annotated[
         Path | None, typer.Option(help="Folder that angie phantom made, for its true joints.")
     ] = None,
@@ -83,8 +71,8 @@ def evaluate(
     perceptual_weights: Annotated[
         Path | None, typer.Option(help="File of VGG19's weights for the perceptual distance.")
     ] = None,
-    device: Device = "auto",
-    force: Force = False,
+    device: options.Device = "auto",
+    force: options.Force = False,
 ) -> None:
     """Score generators, baselines and the truth on the test clips of a dataset."""
     if output is None:
@@ -92,7 +80,7 @@ def evaluate(
     check_choice("--start", start, ("truth", "pose"))
     for path, what in ((fgd, "autoencoder of a report"), (perceptual_weights, "weights")):
         if path is not None:
-            want_file(path, what)
+            options.want_file(path, what)
     from angie.evaluation.networks import EvaluationConfig
     from angie.evaluation.report import terminal_table
 
@@ -128,7 +116,7 @@ def evaluate(
                 raise BadInput("--truth goes with a dataset of videos")
             numbers = evaluate_joints(places[0], places[1:], output, config, **chosen)
         else:
-            place = device_of(device)
+            place = options.device_of(device)
             numbers = run(places[0], places[1:], output, config, device=place, **chosen)
     else:
         if places:
@@ -146,7 +134,7 @@ def evaluate(
             bundle or BUNDLE,
             output,
             config,
-            device=device_of(device),
+            device=options.device_of(device),
             force=force,
         )
     for space in numbers["spaces"]:

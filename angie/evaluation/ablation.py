@@ -7,6 +7,7 @@ motion first of all. Each variant is a whole bundle in the folder, which `angie 
 import json
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -132,7 +133,10 @@ def _begin(output: Path, origin: dict[str, Any]) -> None:
     """
     mark = output / MARK
     if mark.is_file():
-        if _read(mark) != origin:
+        kept = None
+        with suppress(OSError, ValueError):  # of a damaged one nothing is known
+            kept = json.loads(mark.read_text())
+        if kept != origin:
             raise BadInput(f"{output}: holds ablations of other settings; name a new folder")
         return
     if output.is_dir() and any(output.iterdir()):
@@ -141,14 +145,6 @@ def _begin(output: Path, origin: dict[str, Any]) -> None:
     output.mkdir(exist_ok=True)
     with whole_file(mark) as part:
         part.write_text(json.dumps(origin, indent=1) + "\n")
-
-
-def _read(mark: Path) -> Any:
-    """What a mark says; None of one that is damaged."""
-    try:
-        return json.loads(mark.read_text())
-    except (OSError, ValueError):
-        return None
 
 
 def _train(

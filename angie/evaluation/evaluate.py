@@ -13,7 +13,6 @@ from angie import __version__
 from angie.bundle import Bundle
 from angie.evaluation import report
 from angie.evaluation.images import Driver, FrameJudge, score_pictures
-from angie.evaluation.joints import true_joints
 from angie.evaluation.networks import (
     EvaluationConfig,
     check_networks,
@@ -31,7 +30,7 @@ from angie.evaluation.rows import (
     systems,
 )
 from angie.evaluation.scoring import make_judge
-from angie.evaluation.space import RegionSpace, open_space
+from angie.evaluation.space import RegionSpace, open_space, true_joints
 from angie.evaluation.videos import in_turn, write_videos
 from angie.generators.stages import plain
 from angie.motion.keypoints import KeypointDataset

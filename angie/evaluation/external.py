@@ -15,10 +15,9 @@ from angie.bundle import Bundle
 from angie.evaluation import report
 from angie.evaluation.evaluate import Pictures, finish, score_space
 from angie.evaluation.images import FrameJudge, FrameScores, compare, pick, read_chosen
-from angie.evaluation.joints import true_joints
 from angie.evaluation.networks import EvaluationConfig, check_networks
 from angie.evaluation.rows import Performance, Row, baselines, row_names
-from angie.evaluation.space import RegionSpace, onsets_within, open_space
+from angie.evaluation.space import RegionSpace, onsets_within, open_space, true_joints
 from angie.evaluation.videos import padded, write_video
 from angie.metrics.images import read_pair
 from angie.motion.clips import MotionClip

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from angie.evaluation.definitions import IMAGES, PIXEL
-from angie.evaluation.joints import JointReader
 from angie.evaluation.rows import TRUE_REGIONS
+from angie.evaluation.space import JointReader
 from angie.metrics import images
 from angie.metrics.images import IdentityNetwork, embed
 from angie.metrics.score import Score

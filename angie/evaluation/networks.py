@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from safetensors.torch import save_file
 
 from angie.evaluation.images import FrameChoice, FrameJudge
-from angie.evaluation.joints import JointReader, fit_reader
-from angie.evaluation.space import RegionSpace
+from angie.evaluation.space import JointReader, RegionSpace, fit_reader
 from angie.metrics.autoencoder import (
     AutoencoderTraining,
     MotionAutoencoder,

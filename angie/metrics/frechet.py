@@ -23,14 +23,10 @@ MOST_COMPONENTS = 64
 SHRINKAGES = ("pca", "ledoit-wolf")
 
 
-def _root(matrix: NDArray) -> NDArray:
-    values, vectors = np.linalg.eigh(matrix)
-    return (vectors * np.sqrt(values.clip(0))) @ vectors.T
-
-
 def _trace_of_root(first: NDArray, second: NDArray) -> float:
     """Tr (S1 S2)^(1/2) of symmetric positive semidefinite matrices (d, d)."""
-    half = _root(first)
+    values, vectors = np.linalg.eigh(first)
+    half = (vectors * np.sqrt(values.clip(0))) @ vectors.T
     product = half @ second @ half
     values = np.linalg.eigvalsh((product + product.T) / 2)
     return float(np.sqrt(values.clip(0)).sum())

@@ -109,7 +109,8 @@ class _Converter:
             self._size = (_square_pixel_width(self._stream, frame.width), frame.height)
         width, height = self._size
         if self.longest is not None:
-            width, height = reduced_size(width, height, self.longest)
+            scale = min(1.0, self.longest / max(width, height))
+            width, height = (max(round(side * scale), 2) for side in (width, height))
         pixels = self._reformatter.reformat(
             frame,
             width=width,
@@ -123,12 +124,6 @@ class _Converter:
         ).to_ndarray()
         turns = _quarter_turns(frame)
         return np.ascontiguousarray(np.rot90(pixels, turns)) if turns else pixels
-
-
-def reduced_size(width: int, height: int, longest: int) -> tuple[int, int]:
-    """Width and height of a picture whose longer side is brought to `longest`, if it is more."""
-    scale = min(1.0, longest / max(width, height))
-    return max(round(width * scale), 2), max(round(height * scale), 2)
 
 
 def probe(path: Path) -> VideoInfo:

@@ -12,7 +12,7 @@ from av.video.frame import VideoFrame
 
 from data_prep.errors import BadInput
 from data_prep.media.container import open_media
-from data_prep.prepare.source import Outcome, Span
+from data_prep.prepare.source import Outcome
 from data_prep.rates import FPS
 
 FRAMES = 6
@@ -88,7 +88,8 @@ def _upright(frame: VideoFrame, size: tuple[int, int]) -> np.ndarray:
 def _tile(picture: np.ndarray, time: float, outcome: Outcome) -> np.ndarray:
     assert outcome.info is not None
     height, width = picture.shape[:2]
-    span = _span_at(outcome, time)
+    frame = round(time * FPS)
+    span = next((span for span in outcome.spans if span.first <= frame < span.stop), None)
     if span is not None and span.crop is not None:
         scale = height / outcome.info.height
         corner = round(span.crop.x * scale), round(span.crop.y * scale)
@@ -103,8 +104,3 @@ def _tile(picture: np.ndarray, time: float, outcome: Outcome) -> np.ndarray:
         font = cv2.FONT_HERSHEY_SIMPLEX
         cv2.putText(picture, text, where, font, 0.42, colour, thickness, cv2.LINE_AA)
     return picture
-
-
-def _span_at(outcome: Outcome, time: float) -> Span | None:
-    frame = round(time * FPS)
-    return next((span for span in outcome.spans if span.first <= frame < span.stop), None)

@@ -13,7 +13,6 @@ from markupsafe import Markup
 
 from data_prep.page import drawing, page_template
 from data_prep.prepare.record import Record, sheet_path, write_json
-from data_prep.prepare.source import ClipDetail
 from data_prep.prepare.split import SPLITS
 from data_prep.prepare.summary import NEGLIGIBLE, REPORT, Summary, counted, seconds_of
 from data_prep.rates import FPS
@@ -109,7 +108,9 @@ def write_report(folder: Path, summary: Summary) -> None:
 
 def report_numbers(summary: Summary) -> dict[str, Any]:
     """Content of the report, ready for JSON; durations in seconds."""
-    details = _details(summary)
+    used = {clip.id for clip in summary.clips}
+    kept = (entry for r in summary.records for entry in r.outcome.details.items())
+    details = [detail for id, detail in kept if id in used]
     given = sum(r.outcome.info.duration for r in summary.records if r.outcome.info)
     heights = [detail.face_height for detail in details if detail.face_height > 0]
     return {
@@ -144,11 +145,6 @@ def histogram(values: Sequence[float]) -> dict[str, list[float]]:
         "counts": counts.tolist(),
         "median": [round(float(np.median(values)), 3)],
     }
-
-
-def _details(summary: Summary) -> list[ClipDetail]:
-    used = {clip.id for clip in summary.clips}
-    return [d for r in summary.records for id, d in r.outcome.details.items() if id in used]
 
 
 def _speaker(summary: Summary, speaker: str) -> dict[str, Any]:

@@ -145,10 +145,6 @@ def _search(grey: np.ndarray, near: Face | None) -> list[Face]:
     return sure or _profile(grey, smallest) or likely
 
 
-def _grey(image: np.ndarray) -> np.ndarray:
-    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-
-
 def find_faces(
     image: np.ndarray, near: Face | None = None, sides: Sequence[int] = _SEARCH_SIDES
 ) -> list[Face]:
@@ -244,5 +240,6 @@ def _find_near(image: np.ndarray, near: Face) -> list[Face]:
 
 def _at_scale(image: np.ndarray, scale: float, near: Face | None) -> list[Face]:
     method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
-    grey = cv2.resize(_grey(image), None, fx=scale, fy=scale, interpolation=method)
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=method)
     return sorted((f.scaled(1 / scale) for f in _search(grey, near)), key=lambda face: -face.h)

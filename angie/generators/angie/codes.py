@@ -7,8 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from angie.generators.angie.channels import Channels
-from angie.generators.angie.direct import DirectMotion
-from angie.generators.angie.tokenizer import VQMotionExtractor
+from angie.generators.angie.tokenizer import DirectMotion, VQMotionExtractor
 from angie.motion.clips import MotionClip
 from angie.motion.drift import activity
 from angie.motion.windows import WINDOW, MotionWindows

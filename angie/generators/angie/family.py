@@ -3,13 +3,12 @@
 from pathlib import Path
 from typing import Any
 
-from angie.generators.angie.direct import DirectMotion
 from angie.generators.angie.generate import AngieGenerator
 from angie.generators.angie.gpt import CoSpeechGPT
 from angie.generators.angie.refiner import Refiner
 from angie.generators.angie.report import broken_share, gpt_report, in_words, vq_report
 from angie.generators.angie.settings import VARIANTS, AngieSettings, fit, lite, tiny
-from angie.generators.angie.tokenizer import VQMotionExtractor
+from angie.generators.angie.tokenizer import DirectMotion, VQMotionExtractor
 from angie.generators.angie.train import train_direct, train_gpt, train_vq
 from angie.generators.angie.train_refiner import train_refiner
 from angie.generators.base import Family, GestureGenerator

@@ -8,11 +8,10 @@ from torch import Tensor
 
 from angie.generators.angie.channels import Channels
 from angie.generators.angie.codes import encode_whole
-from angie.generators.angie.direct import DirectMotion
 from angie.generators.angie.gpt import CoSpeechGPT
 from angie.generators.angie.refiner import Refiner
 from angie.generators.angie.sampling import Sampling, Window, continue_codes
-from angie.generators.angie.tokenizer import VQMotionExtractor
+from angie.generators.angie.tokenizer import DirectMotion, VQMotionExtractor
 from angie.generators.base import GestureGenerator
 from angie.motion.drift import MODES, Anchors, activity, bounded, integrate_bounded, remove_mean
 from angie.motion.statistics import MotionStatistics
@@ -166,7 +165,10 @@ class AngieGenerator(GestureGenerator):
             sound = self.statistics.standard_onset(onset)
             delta = self.vq.predict(sound, who, self.config.blend)
         else:
-            codes = self.draw_codes(onset, seed, start_codes, who, self._sampling(greedy))
+            sampling = self.config.sampling
+            if greedy is not None:
+                sampling = replace(sampling, method="greedy" if greedy else "topk")
+            codes = self.draw_codes(onset, seed, start_codes, who, sampling)
             delta = self.decode(codes)
         pattern = self.integrate(delta[:frames], first, speaker)
         motion = pattern + self.residual(mfcc, pattern) if self.config.refine else pattern
@@ -201,12 +203,6 @@ class AngieGenerator(GestureGenerator):
         return whole.generate(
             speech, motion[:1], motion.frames, speaker=speaker, greedy=None, start_codes=codes
         )
-
-    def _sampling(self, greedy: bool | None) -> Sampling:
-        """How codes are chosen; None leaves the settings as they are."""
-        if greedy is None:
-            return self.config.sampling
-        return replace(self.config.sampling, method="greedy" if greedy else "topk")
 
     def draw_codes(
         self,

@@ -5,12 +5,13 @@ Cholesky factor (3K channels): ANGIE (NeurIPS 2022), sections 3.2 and 3.3; the l
 Bailando's motion VQ-VAE. Deltas are in units of their training standard deviation.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
 
 from angie.generators.angie.channels import QUANTS
+from angie.generators.angie.gpt import CoSpeechGPT, GPTConfig
 from angie.layers.vqvae import Codebook, Decoder, Encoder, Quantized
 from angie.motion.windows import WINDOW_TOKENS, cross_fade
 from data_prep.rates import FRAMES_PER_TOKEN
@@ -226,3 +227,48 @@ class VQMotionExtractor(nn.Module):
         frames, channels = window * FRAMES_PER_TOKEN, sum(self.config.channels)
         place = 0 if self.config.context == "window" else window // 2
         return self.encode(torch.zeros(1, frames, channels, device=self.mean.device))[0, :, place]
+
+
+class DirectMotion(nn.Module):
+    """Onset features to normalised deltas."""
+
+    mean: Tensor
+
+    def __init__(self, vq: VQConfig, gpt: GPTConfig, speakers: int = 1) -> None:
+        super().__init__()
+        self.config = vq
+        sizes = replace(gpt, codes=vq.code_width, block=WINDOW_TOKENS, streams=vq.streams)
+        self.transformer = CoSpeechGPT(sizes, speakers)
+        self.decoders = nn.ModuleList(
+            Decoder(channels, vq.width, vq.code_width) for channels in vq.channels
+        )
+        self.register_buffer("mean", torch.zeros(sum(vq.channels)))
+
+    def forward(self, onset: Tensor, speaker: Tensor | None = None) -> Tensor:
+        """Normalised deltas (B, 8S, 5K) of standardised onset features (B, S, 426), S <= 12."""
+        batch, steps, _ = onset.shape
+        blank = torch.zeros(
+            batch, self.config.streams, steps, dtype=torch.int64, device=onset.device
+        )
+        latent = self.transformer(blank, onset, speaker)  # (B, streams, S, code_width)
+        parts = zip(self.decoders, latent.unbind(1), strict=True)
+        return torch.cat([decoder(part) for decoder, part in parts], dim=-1)
+
+    @torch.no_grad()
+    def predict(self, onset: Tensor, speaker: int | None = None, blend: str = "linear") -> Tensor:
+        """Normalised deltas (8S, 5K) on the CPU of any length of sound (S, 426).
+
+        Windows of 12 tokens are computed by themselves and blended, see
+        `angie.motion.windows.BLENDS`.
+        """
+        size = min(WINDOW_TOKENS, len(onset))
+        device = self.mean.device
+
+        def compute(starts: list[int]) -> Tensor:
+            first = [start // FRAMES_PER_TOKEN for start in starts]
+            sound = torch.stack([onset[at : at + size] for at in first]).to(device)
+            who = None if speaker is None else torch.full((len(first),), speaker, device=device)
+            return self(sound, who)
+
+        frames, window = len(onset) * FRAMES_PER_TOKEN, WINDOW_TOKENS * FRAMES_PER_TOKEN
+        return cross_fade(frames, window, compute, blend)

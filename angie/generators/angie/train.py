@@ -24,9 +24,8 @@ from angie.generators.angie.codes import (
     reconstruction,
     window_codes,
 )
-from angie.generators.angie.direct import DirectMotion
 from angie.generators.angie.gpt import CoSpeechGPT, GPTConfig
-from angie.generators.angie.tokenizer import VQConfig, VQMotionExtractor
+from angie.generators.angie.tokenizer import DirectMotion, VQConfig, VQMotionExtractor
 from angie.motion.windows import STRIDE, MotionWindows, check_stride
 from data_prep.rates import FRAMES_PER_TOKEN
 from mraa.training.checkpoint import Schedule
@@ -110,7 +109,9 @@ def train_vq(
     for step in run.steps():
         target = channels.normalise(next(batches)["poses"])
         if step == warmup > 0:
-            vq.init_codebook(channels.normalise(some_poses(windows).to(run.device)))
+            spread = torch.linspace(0, items - 1, min(items, CLUSTERED)).long().tolist()
+            some = windows.chosen(spread).stack("poses", 0, len(spread))
+            vq.init_codebook(channels.normalise(some.to(run.device)))
         result = model(target, step >= warmup)
         errors = stream_errors(result.deltas.float(), target, config)
         loss = torch.stack(list(errors.values())).sum()
@@ -132,13 +133,6 @@ def train_vq(
     vq.eval()
     vq.mean.copy_(mean_for_activity(patterns(vq, windows).split(64)))
     return vq.cpu()
-
-
-def some_poses(windows: MotionWindows) -> Tensor:
-    """Poses (n, 97, 5K) of at most `CLUSTERED` windows, evenly spread."""
-    count = min(len(windows), CLUSTERED)
-    chosen = windows.chosen(torch.linspace(0, len(windows) - 1, count).long().tolist())
-    return chosen.stack("poses", 0, count)
 
 
 def stream_errors(made: Tensor, target: Tensor, config: VQConfig) -> dict[str, Tensor]:

@@ -8,9 +8,8 @@ from torch import Tensor, nn
 
 from angie.generators.angie.channels import Channels
 from angie.generators.angie.codes import evaluating, patterns
-from angie.generators.angie.direct import DirectMotion
 from angie.generators.angie.refiner import Refiner, RefinerConfig
-from angie.generators.angie.tokenizer import VQMotionExtractor
+from angie.generators.angie.tokenizer import DirectMotion, VQMotionExtractor
 from angie.generators.angie.train import Begin, fit
 from angie.motion.windows import STRIDE, MotionWindows, check_stride
 from data_prep.rates import FRAMES_PER_TOKEN

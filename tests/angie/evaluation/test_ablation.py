@@ -13,9 +13,9 @@ from angie.cli import main
 from angie.config import parse_overrides, preset
 from angie.evaluation.ablation import COLUMNS, _copy_motion, ablate, settings_of, table
 from angie.evaluation.networks import EvaluationConfig
-from angie.generators.angie.direct import DirectMotion
 from angie.generators.angie.report import broken_share
 from angie.generators.angie.settings import VARIANTS
+from angie.generators.angie.tokenizer import DirectMotion
 from data_prep.errors import BadInput
 from mraa.training.run import RunConfig
 

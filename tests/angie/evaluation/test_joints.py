@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from angie.evaluation.joints import fit_reader, true_joints
+from angie.evaluation.space import fit_reader, true_joints
 from data_prep.errors import BadInput
 
 

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from angie.generators.angie.direct import DirectMotion
 from angie.generators.angie.generate import AngieGenerator, GenerationConfig, voiced_tokens
 from angie.generators.angie.gpt import CoSpeechGPT, GPTConfig
 from angie.generators.angie.refiner import Refiner, RefinerConfig
 from angie.generators.angie.sampling import Sampling, Window
-from angie.generators.angie.tokenizer import VQConfig, VQMotionExtractor
+from angie.generators.angie.tokenizer import DirectMotion, VQConfig, VQMotionExtractor
 from angie.motion.drift import activity
 from angie.motion.statistics import measure
 from data_prep.errors import BadInput

@@ -7,10 +7,9 @@ import torch
 
 from angie.generators.angie.channels import Channels
 from angie.generators.angie.codes import encode_windows, reconstruction
-from angie.generators.angie.direct import DirectMotion
 from angie.generators.angie.gpt import GPTConfig
 from angie.generators.angie.refiner import Refiner, RefinerConfig
-from angie.generators.angie.tokenizer import VQConfig, VQMotionExtractor
+from angie.generators.angie.tokenizer import DirectMotion, VQConfig, VQMotionExtractor
 from angie.generators.angie.train import (
     NORMS,
     GPTTraining,
