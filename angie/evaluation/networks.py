@@ -129,8 +129,9 @@ def check_networks(config: EvaluationConfig, *estimators: str) -> None:
     """
     if config.images and config.perceptual_weights:
         PerceptualDistance(config.perceptual_weights)
-    for estimator in estimators if config.fgd is not None else ():
-        stored_autoencoder(config.fgd, estimator)
+    for estimator in estimators:
+        if config.fgd is not None:
+            stored_autoencoder(config.fgd, estimator)
 
 
 def find_autoencoder(

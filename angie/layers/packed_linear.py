@@ -96,7 +96,7 @@ def _pack(model: nn.Module, dtype: torch.dtype) -> None:
         elif min(child.in_features, child.out_features) >= LEAST:
             follower = children[place + 1] if place + 1 < len(children) else ("", None)
             gelu = isinstance(model, nn.Sequential) and isinstance(follower[1], nn.GELU)
-            gelu = gelu and follower[1].approximate == "none"
+            gelu = gelu and getattr(follower[1], "approximate", "") == "none"
             setattr(model, name, PackedLinear(child, gelu=gelu, dtype=dtype))
             if gelu:
                 setattr(model, follower[0], nn.Identity())
