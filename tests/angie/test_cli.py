@@ -45,6 +45,12 @@ def call(capsys, *arguments):
     return status, captured.out, captured.err
 
 
+@pytest.fixture
+def one_process(monkeypatch):
+    """Sound is read when it is asked for: what is refused before needs no process for it."""
+    monkeypatch.setattr("angie.commands.animate.begin", lambda work, task: lambda: work(task))
+
+
 BAD = [
     ("missing.png", "speech.wav", "no such file"),
     ("photo.png", "missing.wav", "no such file"),
@@ -58,6 +64,7 @@ BAD = [
 ]
 
 
+@pytest.mark.usefixtures("one_process")
 @pytest.mark.parametrize(("photo", "speech", "words"), BAD)
 def test_bad_input_is_one_line(inputs, bundle, tmp_path, capsys, photo, speech, words):
     before = sorted(inputs.iterdir())
@@ -71,6 +78,7 @@ def test_bad_input_is_one_line(inputs, bundle, tmp_path, capsys, photo, speech, 
     assert list(tmp_path.iterdir()) == [] and sorted(inputs.iterdir()) == before
 
 
+@pytest.mark.usefixtures("one_process")
 @pytest.mark.parametrize(
     ("options", "words"),
     [
