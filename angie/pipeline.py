@@ -140,8 +140,8 @@ class GestureVideo:
                 that is damaged.
         """
         path = Path(path)
-        check_mp4(path)
         check_apart(path, self.inputs)
+        check_mp4(path)
         with whole_file(path, force=force) as part:
             video = VideoWriter(
                 part,
