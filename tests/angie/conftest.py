@@ -88,3 +88,9 @@ def joint_bundle(bundle, tmp_path_factory) -> Bundle:
     gpt.load_state_dict({**gpt.state_dict(), **load_gpt(bundle).state_dict()})
     made.add("angie.gpt", gpt.state_dict(), {})
     return made
+
+
+@pytest.fixture
+def one_process(monkeypatch):
+    """Sound is read when it is asked for: what is refused before needs no process for it."""
+    monkeypatch.setattr("angie.commands.animate.begin", lambda work, task: lambda: work(task))

@@ -45,12 +45,6 @@ def call(capsys, *arguments):
     return status, captured.out, captured.err
 
 
-@pytest.fixture
-def one_process(monkeypatch):
-    """Sound is read when it is asked for: what is refused before needs no process for it."""
-    monkeypatch.setattr("angie.commands.animate.begin", lambda work, task: lambda: work(task))
-
-
 BAD = [
     ("missing.png", "speech.wav", "no such file"),
     ("photo.png", "missing.wav", "no such file"),

@@ -101,6 +101,7 @@ def test_info_lists_the_styles(bundle, joint_bundle, monkeypatch, capsys):
     assert "styles" not in text and f"speakers    {names}\n" in text
 
 
+@pytest.mark.usefixtures("one_process")
 @pytest.mark.parametrize("command", ["animate", "gestures"])
 @pytest.mark.parametrize(("joint", "words"), [(True, "known: {names}"), (False, "one style")])
 def test_a_style_that_is_not_there_is_one_line(

@@ -123,6 +123,7 @@ def test_it_is_scored_beside_angie_and_alone(both, dataset, tmp_path):
     assert status == 0 and ",both," in table and "angie" not in table
 
 
+@pytest.mark.usefixtures("one_process")
 def test_the_command_takes_it_by_its_name(both, tmp_path, monkeypatch):
     lengths, generate = [], toy.ToyGenerator.generate_own
 
