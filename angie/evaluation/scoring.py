@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -205,12 +205,7 @@ class Summary:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for a report."""
-        return {
-            "mean": self.mean,
-            "interval": self.interval,
-            "reason": self.reason,
-            "runs": [score.as_dict() for score in self.runs],
-        }
+        return asdict(self)
 
 
 def summarise(scores: Sequence[Score]) -> Summary:

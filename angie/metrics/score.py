@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import wraps
 from typing import Any, ParamSpec
 
@@ -42,13 +42,7 @@ class Score:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for a report."""
-        return {
-            "value": self.value,
-            "reason": self.reason,
-            "counts": dict(self.counts),
-            "warning": self.warning,
-            "deviation": self.deviation,
-        }
+        return asdict(self)
 
 
 def finite(motions: int = 1) -> Callable[[Callable[P, Score]], Callable[P, Score]]:

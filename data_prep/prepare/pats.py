@@ -6,6 +6,7 @@ import unicodedata
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from urllib.parse import parse_qs, urlparse
 
@@ -31,6 +32,7 @@ MISSING_COLUMNS = (
     "reason",
 )
 
+_ORDER = [f"interval.{name}" for name in ("speaker", "file", "start", "id")]
 _NEEDED = ("interval_id", "speaker", "start_time", "end_time")
 _TIME = re.compile(r"(?:(?P<days>\d+) days? ?)?.*?(?:(?P<h>\d+):)?(?P<m>\d+):(?P<s>\d+(?:\.\d*)?)$")
 _VIDEO_ID = re.compile(r"(?:[-_ ]|\[)([\w-]{11})\]?$")
@@ -204,19 +206,10 @@ def not_kept(intervals: Sequence[Interval], outcomes: Sequence[Outcome]) -> list
 
 def write_missing(path: Path, missing: Sequence[Missing]) -> None:
     """Write the list of missing intervals, ordered by speaker, video and time."""
-
-    def order(entry: Missing) -> tuple[str, str, float, str]:
-        return (
-            entry.interval.speaker,
-            entry.interval.file,
-            entry.interval.start,
-            entry.interval.id,
-        )
-
     with Path(path).open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(MISSING_COLUMNS)
-        for entry in sorted(missing, key=order):
+        for entry in sorted(missing, key=attrgetter(*_ORDER)):
             i = entry.interval
             times = (f"{i.start:.3f}", f"{i.end:.3f}")
             table.writerow((i.id, i.speaker, *times, i.file, i.link, entry.reason))

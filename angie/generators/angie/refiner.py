@@ -50,22 +50,17 @@ class RefinerConfig:
         return [2 * self.regions, 3 * self.regions][: self.streams]
 
 
-def mfcc_encoder(channels: int) -> nn.Sequential:
-    """MFCC windows (n, 28 * 12) to (n, channels) by two linear layers."""
-    return nn.Sequential(
-        nn.Linear(MFCC_ROWS * MFCC_COLUMNS, channels),
-        nn.LayerNorm(channels),
-        nn.GELU(),
-        nn.Linear(channels, channels),
-    )
-
-
 class StreamRefiner(nn.Module):
     """Residuals of one stream of C channels."""
 
     def __init__(self, channels: int, config: RefinerConfig) -> None:
         super().__init__()
-        self.sound = mfcc_encoder(config.sound)
+        self.sound = nn.Sequential(
+            nn.Linear(MFCC_ROWS * MFCC_COLUMNS, config.sound),
+            nn.LayerNorm(config.sound),
+            nn.GELU(),
+            nn.Linear(config.sound, config.sound),
+        )
         self.motion = nn.Linear(channels, config.motion)
         self.lstm = nn.LSTM(
             config.sound + config.motion,
@@ -92,9 +87,6 @@ class Refiner(nn.Module):
     """Residual motion from sound and pattern motion; exactly zero before training.
 
     Poses and residuals are in units of the training displacement's standard deviation.
-
-    Args:
-        config: architecture.
     """
 
     def __init__(self, config: RefinerConfig) -> None:
