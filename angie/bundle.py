@@ -34,7 +34,7 @@ from angie import __version__
 from angie.config import Preset, stored
 from angie.generators import DEFAULT as DEFAULT_GENERATOR
 from angie.generators import family, upgraded
-from angie.generators.base import GestureGenerator
+from angie.generators.base import GestureGenerator, read_style
 from angie.motion.statistics import MotionStatistics
 from angie.parts import (
     OPTIONAL,
@@ -352,6 +352,11 @@ def styles(bundle: Bundle, generator: str | None = None) -> tuple[str, ...]:
 def check_style(bundle: Bundle, style: str | None, generator: str | None = None) -> None:
     """Refuse a style that a bundle does not have, before anything long begins.
 
+    Args:
+        bundle: a speaker bundle.
+        style: name of a training speaker, or what else `angie.generators.base.read_style` reads.
+        generator: whose style.
+
     Raises:
         BadInput: an unknown name, or a model that knows but one style.
     """
@@ -361,7 +366,9 @@ def check_style(bundle: Bundle, style: str | None, generator: str | None = None)
         advice = family(bundle.chosen(generator)).style_advice
         more = f"; models trained with {advice} have one for each speaker" if advice else ""
         raise BadInput(f"--style {style}: {bundle.folder} has one style only{more}")
-    bundle.statistics().place_of(style)
+    name = bundle.chosen(generator)
+    size = family(name).style_space(bundle.settings(name))
+    read_style(style, bundle.statistics().speakers, size)
 
 
 DEFAULT = Path(__file__).parent / "default"

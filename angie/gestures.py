@@ -11,6 +11,7 @@ from angie.motion.statistics import MotionStatistics
 from angie.pipeline import GesturePipeline
 from data_prep.errors import BadInput, check_seed
 from data_prep.files import check_apart, whole_file
+from data_prep.progress import console
 from data_prep.rates import FPS
 from mraa.motion import Motion, read_motion
 
@@ -51,6 +52,7 @@ def gestures(
     start: Path | None = None,
     speaker: str | None = None,
     style: str | None = None,
+    words: Path | None = None,
     fps: float = FPS,
     seed: int = 0,
     greedy: bool = False,
@@ -69,6 +71,7 @@ def gestures(
             around their rest pose.
         style: a training speaker of a joint model, whose style alone is taken, whoever gestures;
             None takes that of `speaker`, or of anyone.
+        words: transcript of the recording, for a generator that reads words.
         fps: frames a second wanted; motion of regions has 25.
         seed: of the gestures.
         greedy: always the likeliest gesture; else gestures are sampled. Both whatever method of
@@ -81,7 +84,7 @@ def gestures(
     Raises:
         BadInput: an input that cannot be used; nothing is left behind.
     """
-    check_apart(output, [sound_path, *([start] if start else [])])
+    check_apart(output, [path for path in (sound_path, start, words) if path])
     bundle = pipeline.bundle
     points = bundle.preset.points
     if output.suffix not in (".npz", ".npy") or (output.suffix == ".npy" and not points):
@@ -92,7 +95,9 @@ def gestures(
     check_style(bundle, style, pipeline.name)
     generator = pipeline.generator
     with whole_file(output, force=force) as part:
-        speech = pipeline.speech(sound_path)
+        speech = pipeline.speech(sound_path, words)
+        for note in pipeline.notes(speech):
+            console.print(f"angie: {note}", highlight=False, markup=False, soft_wrap=True)
         pose = start_pose(pipeline.statistics, speaker, start)
         motion = generator.generate(
             speech, pose, speech.frames, seed=seed, speaker=speaker, style=style, greedy=greedy

@@ -6,7 +6,7 @@ video.save("out.mp4")
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -31,6 +31,8 @@ from data_prep.progress import progress
 from data_prep.rates import FPS, IMAGE_SIZE, SAMPLE_RATE
 from data_prep.speaker.crop import Crop, cut_out
 from data_prep.speech.features import FEATURES, Speech
+from data_prep.speech.transcript import read_transcript
+from data_prep.speech.words import Word
 from mraa.affine import WITH_AXES
 from mraa.avd import hull_scale
 from mraa.draw import render, source_pose
@@ -238,6 +240,7 @@ class GesturePipeline:
         controls: Any = None,
         view: View | None = None,
         speech: Speech | None = None,
+        words: Path | str | Sequence[Word] | None = None,
     ) -> GestureVideo:
         """Make the person of a photo gesture to a recording.
 
@@ -246,8 +249,9 @@ class GesturePipeline:
                 pixels (H, W, 3) uint8 RGB.
             audio: a recording or a video with sound; or samples and their rate, see `Audio`.
             seed: of the gestures; the same seed gives the same video.
-            style: a training speaker whose way of gesturing is taken; the pose to begin with and
-                to return to stays the photo's. None gestures like anyone.
+            style: a training speaker whose way of gesturing is taken, or what else
+                `angie.generators.base.read_style` reads; the pose to begin with and to return to
+                stays the photo's. None gestures like anyone.
             greedy: always the likeliest gesture; every seed then gives the same video. Else
                 gestures are sampled. Both whatever the bundle's settings say.
             scale_motion: "hull" scales the gestures by the size of the person (spanned by the
@@ -255,6 +259,8 @@ class GesturePipeline:
             controls: a dataclass of the generator's own.
             view: which part of the photo moves, and what is shown of it.
             speech: the recording with features that are known already; others are computed.
+            words: of the recording: a transcript of any format that `angie prepare` reads, plain
+                text among them, or words with their times; for generators that read words.
 
         Raises:
             BadInput: an input that cannot be used.
@@ -264,8 +270,8 @@ class GesturePipeline:
         check_choice("--scale-motion", scale_motion, SCALES)
         check_style(self.bundle, style, self.name)
         subject = self.subject(photo, view)
-        if speech is None or not all(name in speech for name in self.generator.features):
-            speech = self.speech(audio)
+        if words or speech is None or not all(name in speech for name in self.generator.features):
+            speech = self.speech(audio, words)
         pose = source_pose(self.renderer, subject.picture)
         motion = self.generator.generate(
             speech, pose, speech.frames, seed=seed, style=style, controls=controls, greedy=greedy
@@ -281,10 +287,11 @@ class GesturePipeline:
             )  # fmt: skip
 
         sound = audio if isinstance(audio, tuple) else Path(audio)
-        files = [path for path in (subject.path, sound) if isinstance(path, Path)]
+        given = Path(words) if isinstance(words, str | Path) else None
+        files = [path for path in (subject.path, sound, given) if isinstance(path, Path)]
         return GestureVideo(
             subject, speech.frames, speech.seconds, draw, sound, motion, speech,
-            inputs=tuple(files),
+            inputs=tuple(files), notes=self.notes(speech),
         )  # fmt: skip
 
     def subject(self, photo: Photo, view: View) -> Subject:
@@ -306,14 +313,18 @@ class GesturePipeline:
         path = Path(photo) if isinstance(photo, str | Path) else None
         return Subject(from_pixels(cut[None]).to(self.device), crop, shown, canvas, path)
 
-    def speech(self, audio: Audio) -> Speech:
-        """A recording with the features that the generator reads.
+    def speech(self, audio: Audio, words: Path | str | Sequence[Word] | None = None) -> Speech:
+        """A recording with the features and words that the generator reads.
 
         The samples are forgotten, where the features are all that the generator reads: long
         recordings leave their memory to the renderer.
 
+        Args:
+            audio: the recording.
+            words: a transcript, or words with their times; text without times is aligned.
+
         Raises:
-            BadInput: a recording that cannot be used.
+            BadInput: a recording or a transcript that cannot be used.
         """
         if not isinstance(audio, tuple | str | Path):
             raise BadInput(
@@ -321,13 +332,24 @@ class GesturePipeline:
                 f"{type(audio).__name__}"
             )
         samples = mono(*audio) if isinstance(audio, tuple) else read_sound(Path(audio))
-        speech = Speech(samples)
+        if isinstance(words, str | Path):
+            words = read_transcript(Path(words)).aligned(samples)
+        speech = Speech(samples, words)
         known = [name for name in self.generator.features if name in FEATURES]
         for name in known:
             speech[name]
         if len(known) == len(self.generator.features):
             speech.forget_samples()
         return speech
+
+    def notes(self, speech: Speech) -> list[str]:
+        """What is to be said of the words of a recording, a line or none."""
+        reads = "words" in self.generator.features
+        if reads and not speech.words:
+            return ["gestures without words; --words FILE gives a transcript"]
+        if speech.words and not reads:
+            return ["the words are not used: this generator hears sound only"]
+        return []
 
     def tracking(self, track_axes: bool) -> Renderer:
         """The renderer, told whether signs and order of the axes of regions are meant."""
@@ -376,7 +398,8 @@ def scale_displacement(
     The size is the square root of the area that the regions span (MRAA's relative mode). The
     training speaker is the one whose style the motion has, or without a style the mean of all.
     """
+    one = style if style in statistics.speakers else None
     mean = statistics.rest.mean(dim=0)
-    rest = Motion.from_vector((mean if style is None else statistics.rest_of(style))[None])
+    rest = Motion.from_vector((mean if one is None else statistics.rest_of(one))[None])
     scale = hull_scale(pose.shift[0], rest.shift[0])
     return Motion(pose.shift + scale * (motion.shift - pose.shift), motion.cholesky)

@@ -28,6 +28,7 @@ from angie.commands.options import (
     Settings,
     Size,
     Style,
+    Words,
     device_of,
     square_of,
     want_file,
@@ -62,6 +63,7 @@ def animate(
     ] = "none",
     greedy: Greedy = False,
     style: Style = None,
+    words: Words = None,
     precision: Precision = "auto",
     size: Size = None,
     full_frame: FullFrame = False,
@@ -87,6 +89,7 @@ def animate(
     force: Force = False,
 ) -> None:
     """Make the person of a photo gesture to a recording, or as in a driving video."""
+    from angie.generators import DEFAULT
     from data_prep.files import check_apart, check_mp4, check_output
 
     check_output(output, force=force)
@@ -94,21 +97,25 @@ def animate(
     want_file(photo, "photo")
     if audio is not None:
         want_file(audio, "recording")
+    if words is not None:
+        want_file(words, "transcript")
     check_choice("--scale-motion", scale_motion, ("none", "hull"))
     given = None if crop is None else square_of(crop)
-    heard = None if audio is None or drive is not None else begin(_heard, audio)
+    usual = generator in (None, DEFAULT) and words is None
+    heard = begin(_heard, audio) if usual and audio is not None and drive is None else None
     square = _found(photo, person) if given is None else lambda: given
     look: dict[str, Any] = {
         "person": person, "size": size, "full_frame": full_frame, "track_axes": track_axes,
     }  # fmt: skip
-    inputs = [path for path in (photo, audio, drive) if path is not None]
+    inputs = [path for path in (photo, audio, drive, words) if path is not None]
     check_apart(output, inputs)
     if drive is not None:
         want_file(drive, "driving video")
-        if greedy or scale_motion != "none" or style is not None or generator is not None:
+        sound_only = (style, generator, words)
+        if greedy or scale_motion != "none" or any(given is not None for given in sound_only):
             raise BadInput(
-                "--greedy, --style, --scale-motion and --generator are for gestures to sound, not "
-                "for --drive"
+                "--greedy, --style, --words, --scale-motion and --generator are for gestures to "
+                "sound, not for --drive"
             )
     elif audio is None:
         raise BadInput("give a recording to gesture to, or a video to follow with --drive VIDEO")
@@ -140,6 +147,7 @@ def animate(
             scale_motion=scale_motion,
             view=view,
             speech=heard() if heard else None,
+            words=words,
         )
     result.save(output, force=force)
     if result.note:
@@ -206,6 +214,7 @@ def gestures(
         ),
     ] = None,
     style: Style = None,
+    words: Words = None,
     generator: Generator = None,
     fps: Annotated[float, typer.Option(min=1, max=1000, help="Frames per second of joints.")] = FPS,
     seed: Seed = 0,
@@ -219,6 +228,8 @@ def gestures(
     want_file(audio, "recording")
     if start is not None:
         want_file(start, "motion to begin with")
+    if words is not None:
+        want_file(words, "transcript")
     from angie.bundle import Bundle
     from angie.gestures import gestures as make
     from angie.pipeline import GesturePipeline
@@ -230,6 +241,7 @@ def gestures(
         start=start,
         speaker=speaker,
         style=style,
+        words=words,
         fps=fps,
         seed=seed,
         greedy=greedy,

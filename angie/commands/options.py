@@ -20,8 +20,16 @@ Precision = Annotated[
 Style = Annotated[
     str | None,
     typer.Option(
-        help="Take this training speaker's way of gesturing, but not their rest pose; for joint "
-        "models, whose speakers angie info lists."
+        help="Take this training speaker's way of gesturing, but not their rest pose; for models "
+        "of several speakers, whom angie info lists. Where there is a style space, also a mixture, "
+        "A:0.3,B:0.7, or a point of it, numbers separated by commas."
+    ),
+]
+Words = Annotated[
+    Path | None,
+    typer.Option(
+        help="Transcript of AUDIO, of any format that prepare reads, or plain text; for generators "
+        "that read words."
     ),
 ]
 Generator = Annotated[

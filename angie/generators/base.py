@@ -15,7 +15,8 @@ from torch import Tensor
 
 from angie.generators.stages import Parts, Stage
 from angie.motion.clips import MotionClip
-from angie.motion.statistics import MotionStatistics
+from angie.motion.statistics import MotionStatistics, known
+from data_prep.errors import BadInput
 from data_prep.rates import FPS
 from mraa.motion import Motion
 
@@ -77,8 +78,9 @@ class GestureGenerator(Protocol):
             seed: everything random follows from it; one seed gives one motion on one device.
             speaker: a speaker of the training set who gestures: in their style, and around their
                 rest pose; None is anyone.
-            style: a training speaker whose way of gesturing alone is taken, by name or as a
-                vector of the family's own; None takes that of `speaker`.
+            style: a training speaker whose way of gesturing alone is taken, by name, or what
+                else `read_style` reads, or a point of the family's own style space; None takes
+                that of `speaker`.
             seed_motion: recorded motion at 25 fps whose beginning the generator may take, as its
                 paper's protocol has it.
             controls: a dataclass of the family's own, or None.
@@ -109,6 +111,43 @@ class GestureGenerator(Protocol):
         no_stream(type(self).__name__)
 
 
+def read_style(style: str, speakers: Sequence[str], size: int) -> dict[str, float] | Tensor:
+    """What `--style` says: a speaker, a mixture of speakers, or a point of a style space.
+
+    Args:
+        style: "NAME", "A:0.3,B:0.7" or numbers that are separated by commas.
+        speakers: names that there are.
+        size: numbers of a point; 0 where a generator knows styles by names only.
+
+    Returns:
+        the weight of each speaker, above 0 in all; or a point (size,).
+
+    Raises:
+        BadInput: none of these.
+    """
+    if style in speakers or not size:
+        return {known(style, speakers): 1.0}
+    parts = style.split(",")
+    try:
+        if ":" not in style and len(parts) > 1:
+            point = torch.tensor([float(part) for part in parts])
+            if len(parts) == size and bool(point.isfinite().all()):
+                return point
+            raise ValueError
+        if ":" in style:
+            pairs = [part.rsplit(":", 1) for part in parts]
+            mixed = {known(name.strip(), speakers): float(weight) for name, weight in pairs}
+            if min(mixed.values()) >= 0 and 0 < sum(mixed.values()) < math.inf:
+                return mixed
+            raise ValueError
+    except ValueError:
+        raise BadInput(
+            f"--style {style}: give NAME, a mixture such as {speakers[0]}:0.3,{speakers[-1]}:0.7, "
+            f"or {size} numbers separated by commas"
+        ) from None
+    return {known(style, speakers): 1.0}
+
+
 def no_stream(name: str) -> NoReturn:
     """Refuse to stream: the generator needs the whole recording at once."""
     raise NotImplementedError(f"{name} needs the whole recording at once; it cannot stream")
@@ -119,7 +158,12 @@ class ResamplingGenerator(GestureGenerator, Protocol):
 
     Subclasses state `fps` and implement `generate_own`, in which the start pose, `frames`,
     `seed_motion` and the result are at that rate.
+
+    Attributes:
+        smooth: resample by splines, for which the whole motion has to be known, see `resample`.
     """
+
+    smooth: bool = False
 
     def generate_own(self, speech: "Speech", start: Motion, frames: int, **options: Any) -> Motion:
         """`generate` at the generator's own rate; `options` are its keyword arguments."""
@@ -131,12 +175,16 @@ class ResamplingGenerator(GestureGenerator, Protocol):
     ) -> Motion:  # fmt: skip
         """Generate at the own rate and resample; see `GestureGenerator.generate`."""
         own = math.ceil((frames - 1) * self.fps / FPS) + 1  # the last frame lies at or after T
-        seeded = None if seed_motion is None else resample(seed_motion, FPS, self.fps)
-        motion = self.generate_own(speech, start, own, seed_motion=seeded, **options)
-        return resample(motion, self.fps, FPS, frames)
+        smooth = self.smooth
+        if seed_motion is not None:
+            seed_motion = resample(seed_motion, FPS, self.fps, smooth=smooth)
+        motion = self.generate_own(speech, start, own, seed_motion=seed_motion, **options)
+        return resample(motion, self.fps, FPS, frames, smooth=smooth)
 
 
-def resample(motion: Motion, rate: float, to: float, frames: int | None = None) -> Motion:
+def resample(
+    motion: Motion, rate: float, to: float, frames: int | None = None, *, smooth: bool = False
+) -> Motion:
     """Motion at another frame rate by linear interpolation; the first frame stays as it is.
 
     Args:
@@ -144,7 +192,18 @@ def resample(motion: Motion, rate: float, to: float, frames: int | None = None) 
         rate: frames a second of `motion`.
         to: frames a second wanted.
         frames: wanted; None is all up to the last frame of `motion`. Frames after that repeat it.
+        smooth: to a higher rate by cubic splines, the diagonals of Cholesky factors by those of
+            their logarithms; to a lower one after a Gaussian, which reaches the first frame, too.
     """
+    if smooth and rate != to and motion.frames > 1:
+        from angie.motion.keypoints import resample as resample_points  # SciPy takes a while
+
+        curves = logarithmic(motion).double().numpy()[:, None]
+        made = torch.from_numpy(resample_points(curves, rate, to)[:, 0]).to(motion.shift.dtype)
+        first, motion = motion.vector()[:1], exponential(made, motion)
+        if to > rate:  # exactly
+            motion = motion.like(torch.cat([first, motion.vector()[1:]]))
+        rate = to
     vector, last = motion.vector(), motion.frames - 1
     if frames is None:
         frames = math.floor(last * to / rate + 1e-6) + 1
@@ -152,6 +211,45 @@ def resample(motion: Motion, rate: float, to: float, frames: int | None = None) 
     low = place.floor().long()
     share = (place - low).to(vector.dtype)[:, None]
     return motion.like(vector[low] * (1 - share) + vector[(low + 1).clamp_max(last)] * share)
+
+
+def logarithmic(motion: Motion) -> Tensor:
+    """Motion vectors (T, C) with logarithms in place of l1 and l3, which are above 0."""
+    if not motion.has_extent:
+        return motion.vector()
+    l1, l2, l3 = motion.cholesky.unbind(-1)
+    factor = torch.stack([l1.log(), l2, l3.log()], dim=-1)
+    return Motion(motion.shift, factor).vector()
+
+
+def exponential(vector: Tensor, like: Motion) -> Motion:
+    """Motion of what `logarithmic` gives, of regions or points as another motion."""
+    motion = like.like(vector)
+    if not motion.has_extent:
+        return motion
+    l1, l2, l3 = motion.cholesky.unbind(-1)
+    return Motion(motion.shift, torch.stack([l1.exp(), l2, l3.exp()], dim=-1))
+
+
+def begin_at(motion: Motion, start: Motion, fps: float, seconds: float = 1.0) -> Motion:
+    """Motion that begins with a pose: what it is off in frame 1 is added and dies away.
+
+    For generators whose motion is absolute. Diagonals of Cholesky factors are multiplied in place
+    of that, so that they stay positive.
+
+    Args:
+        motion: T frames; diagonals above 0.
+        start: one frame.
+        fps: frames a second.
+        seconds: in which the offset falls to 1 / e.
+
+    Returns:
+        T frames, the first of which is the start pose.
+    """
+    vector, pose = logarithmic(motion), logarithmic(start)
+    left = torch.exp(-torch.arange(len(vector)) / (fps * seconds))[:, None].to(vector)
+    made = exponential(vector + left * (pose - vector[:1]), motion).vector()
+    return motion.like(torch.cat([start.vector(), made[1:]]))
 
 
 @dataclass(frozen=True)
@@ -180,6 +278,9 @@ class Family:
         presets: settings by the name of the bundle's preset; without one, `settings()`.
         fit: settings for motion of that many regions, or of points without extent.
         styles: names of the styles that such settings tell apart; none if there is but one.
+        style_space: numbers of a point of the style space under these settings; 0 without one.
+        style_draws: so many styles (n, Z) of each training speaker, for the report; None where
+            there is no style space.
         style_advice: how a model with several styles is trained, for a message.
         variants: of ablations, in the order of the table.
         columns: of that table, beside the scores: shares of the frames of clips.
@@ -198,6 +299,8 @@ class Family:
     presets: Mapping[str, Callable[[], Any]] = field(default_factory=dict)
     fit: Callable[[Any, int, bool], Any] = lambda settings, regions, points: settings
     styles: Callable[[Any, MotionStatistics], tuple[str, ...]] = lambda settings, statistics: ()
+    style_space: Callable[[Any], int] = lambda settings: 0
+    style_draws: Callable[[GestureGenerator, int], dict[str, Tensor]] | None = None
     style_advice: str = ""
     variants: Mapping[str, Variant] = field(default_factory=dict)
     columns: Mapping[str, Callable[[GestureGenerator, Sequence[MotionClip]], float]] = field(

@@ -6,6 +6,7 @@ shifts alone, without the regions' extent. The layout::
     clips.csv             clip,speaker,split,fps     split is train, val or test; fps of the motion
     motion/<clip>.npy     (T, J, 2) float, one row a frame; or .npz with `points`
     audio/<clip>.wav      the sound, of the same beginning; any format that can be read
+    audio/<clip>.json     what is said, if anybody reads words; any format that angie prepare reads
 
 Coordinates may have any unit and origin; joints must be finite. Motion is resampled to 25 frames
 a second for the models and comes back at any rate.
@@ -30,6 +31,7 @@ from data_prep.files import whole_file
 from data_prep.media.audio import read_sound
 from data_prep.rates import FPS
 from data_prep.speech.features import FeatureFiles, Speech, write_features
+from data_prep.speech.transcript import find_transcript, read_transcript
 from mraa.motion import UNREADABLE, Motion
 
 INDEX = "clips.csv"
@@ -204,11 +206,12 @@ class KeypointDataset:
 
     @cached_property
     def digest(self) -> str:
-        """Hash of the index, of all motion and of all recordings."""
+        """Hash of the index, of all motion, all recordings and all transcripts."""
         total = hashlib.sha256((self.path / INDEX).read_bytes())
         for clip in self._clips:
-            for path in (self._motion_file(clip.id), self._sound_file(clip.id)):
-                total.update(path.read_bytes())
+            sound = self._sound_file(clip.id)
+            for path in (self._motion_file(clip.id), sound, find_transcript(sound)):
+                total.update(b"" if path is None else path.read_bytes())
         return total.hexdigest()
 
     def clips(self, split: str | None = None) -> list[KeypointClip]:
@@ -267,11 +270,21 @@ class KeypointDataset:
         return self.cache / f"{digest[:32]}.npz"
 
     def speech(self, name: str) -> Speech:
-        """The recording of a clip with its features, which are kept in `cache`."""
+        """The recording of a clip with its words and features; these are kept in `cache`.
+
+        Raises:
+            BadInput: a transcript that cannot be read.
+        """
         kept = self._kept(name)
         if not kept.is_file():
             self.cache.mkdir(parents=True, exist_ok=True)
             with whole_file(kept, force=True) as part:
                 write_features(part, Speech(self.sound(name)))
         store = FeatureFiles(kept)
-        return Speech(partial(self.sound, name), frames=store.frames, store=store)
+        sound = partial(self.sound, name)
+        path = find_transcript(self._sound_file(name))
+        words = None
+        if path is not None:
+            transcript = read_transcript(path)
+            words = transcript.aligned(sound()) if transcript.text else transcript.words
+        return Speech(sound, words, frames=store.frames, store=store)

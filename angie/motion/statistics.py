@@ -33,6 +33,19 @@ CALM = 0.1
 """Share of the training frames that count as calm."""
 
 
+def known(speaker: str, speakers: Sequence[str]) -> str:
+    """The name of a speaker, if it is one of these.
+
+    Raises:
+        BadInput: it is none.
+    """
+    if speaker in speakers:
+        return speaker
+    near = difflib.get_close_matches(speaker, speakers, n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    raise BadInput(f"{speaker}: not a speaker of this model (known: {', '.join(speakers)}){hint}")
+
+
 @dataclass(frozen=True)
 class MotionStatistics:
     """What training and generation must agree on, measured on the training clips.
@@ -98,12 +111,7 @@ class MotionStatistics:
         Raises:
             BadInput: the speaker was not in the training set.
         """
-        if speaker in self.speakers:
-            return self.speakers.index(speaker)
-        near = difflib.get_close_matches(speaker, self.speakers, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        known = ", ".join(self.speakers)
-        raise BadInput(f"{speaker}: not a speaker of this model (known: {known}){hint}")
+        return self.speakers.index(known(speaker, self.speakers))
 
     def rest_of(self, speaker: str) -> Tensor:
         """Rest pose (5K,) of a speaker of the training set.
