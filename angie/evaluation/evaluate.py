@@ -26,11 +26,13 @@ from angie.evaluation.rows import (
     baselines,
     generated,
     held,
+    resampled,
     row_names,
     systems,
 )
 from angie.evaluation.scoring import make_judge
 from angie.evaluation.space import RegionSpace, open_space, true_joints
+from angie.evaluation.styles import style_spaces
 from angie.evaluation.videos import in_turn, write_videos
 from angie.generators.stages import plain
 from angie.motion.keypoints import KeypointDataset
@@ -83,9 +85,8 @@ def evaluate(
             space = open_space(data, entered[0].bundle, scratch, device)
             rows = make_rows(space, entered, config)
             drawn = _drawn(data, space, entered, rows, joints, config, device)
-            spaces.append(
-                score_space(data, space, rows, group, part, number, config, pictures=drawn)
-            )
+            scored = score_space(data, space, rows, group, part, number, config, pictures=drawn)
+            spaces.append({**scored, "styles": style_spaces(space, entered)})
             shutil.rmtree(scratch, ignore_errors=True)
         return finish(data, spaces, part, config)
 
@@ -112,12 +113,17 @@ def _grouped(folders: Sequence[Path]) -> list[dict[str, Bundle]]:
 
 def make_rows(space: RegionSpace, entered: Sequence[System], config: EvaluationConfig) -> list[Row]:
     """Ground truth, the baselines, and what each system generates."""
-    rows = baselines(space, config.run_seeds)
+    made, rates = [], set()
     with progress("gestures", len(entered), "generators") as advance:
         for system in entered:
-            rows.append(generated(space, system, config.run_seeds, config.start, config.greedy))
+            generator = system.load()
+            rates.add(generator.fps)
+            made.append(
+                generated(space, system, generator, config.run_seeds, config.start, config.greedy)
+            )
             advance()
-    return rows
+    others = [resampled(space, rate) for rate in sorted(rates - {FPS})]
+    return [*baselines(space, config.run_seeds), *others, *made]
 
 
 @dataclass(frozen=True)
@@ -241,7 +247,7 @@ def _score_images(
 
 def _through_tokens(system: System) -> Driver:
     """Gives a clip's motion as the generator's own tokens give it back."""
-    through, generator = system.family.reconstruct, system.bundle.generator(system.generator)
+    through, generator = system.family.reconstruct, system.load()
     assert through is not None
     return lambda clip: through(generator, clip, system.knows(clip.speaker))
 

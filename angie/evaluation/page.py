@@ -108,7 +108,28 @@ def plots(space: Mapping[str, Any]) -> list[dict[str, str]]:
             _activities(shown["curves"], shown["onsets"], space["fps"]),
         )
     )
+    for styles in space.get("styles", []):
+        figures.append(
+            (f"Styles of {styles['row']}, by principal components", _styles(styles, kind))
+        )
     return [{"title": title, "svg": Markup(svg)} for title, svg in figures]
+
+
+def _styles(styles: Mapping[str, Any], kind: str) -> str:
+    """Styles drawn of each speaker, with the speed of its gestures and on which side they are."""
+    unit = "px/s" if kind == "regions" else "units/s"
+    with drawing(*_SMALL) as plot:
+        (axes,) = plot.axes
+        for index, (name, points) in enumerate(styles["points"].items()):
+            x, y = zip(*points, strict=True)
+            axes.scatter(x, y, s=9, color=colour(index), alpha=0.5, lw=0)
+            label = f"{name}: {styles['speed'][name]:.3g} {unit}, {styles['right'][name]:.0%} right"
+            axes.annotate(
+                label, (sum(x) / len(x), sum(y) / len(y)), ha="center", color=colour(index)
+            )
+        axes.set(xlabel=f"{styles['share']:.0%} of the variance in both", yticks=[])
+        axes.margins(x=0.3, y=0.15)
+    return plot.svg
 
 
 def _dots(rows: Sequence[Mapping[str, Any]], key: str, digits: int) -> str:

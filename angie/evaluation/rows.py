@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from angie.bundle import Bundle
 from angie.evaluation.space import RegionSpace, onsets_within
 from angie.generators import family
-from angie.generators.base import Family
+from angie.generators.base import Family, GestureGenerator, resample
 from angie.motion.clips import MotionClip
 from angie.motion.windows import WINDOW
-from data_prep.rates import FRAMES_PER_TOKEN
+from data_prep.rates import FPS, FRAMES_PER_TOKEN
 from mraa.motion import Motion, positive
 
 FADE = 8
@@ -83,6 +83,10 @@ class System:
         """What is known of this kind of generator."""
         return family(self.generator)
 
+    def load(self) -> GestureGenerator:
+        """The generator."""
+        return self.bundle.generator(self.generator)
+
     def knows(self, speaker: str) -> str | None:
         """A speaker's name, if the generator was trained on them."""
         return speaker if speaker in self.bundle.statistics().speakers else None
@@ -141,6 +145,17 @@ def ground_truth(space: RegionSpace) -> Row:
 def held(clip: MotionClip) -> Motion:
     """The first pose of a clip throughout."""
     return clip.motion.like(clip.motion[:1].vector().expand(clip.motion.frames, -1))
+
+
+def resampled(space: RegionSpace, fps: int) -> Row:
+    """The recorded motion at another rate and back, as what is generated at that rate comes out."""
+
+    def through(motion: Motion) -> Motion:
+        there = resample(motion, FPS, fps, smooth=True)
+        return positive(resample(there, fps, FPS, motion.frames, smooth=True))
+
+    about = f"The recorded motion at {fps} frames a second and back: what that rate alone costs."
+    return Row(f"truth at {fps} fps", about, [[perform(c, through(c.motion)) for c in space.test]])
 
 
 def motionless(space: RegionSpace) -> Row:
@@ -250,6 +265,7 @@ def _nearest(piece: NDArray, shelf: list[MotionClip], sounds: list[NDArray]) -> 
 def generated(
     space: RegionSpace,
     system: System,
+    generator: GestureGenerator,
     seeds: Sequence[int],
     start: str = "truth",
     greedy: bool = False,
@@ -258,7 +274,8 @@ def generated(
 
     Args:
         space: the clips.
-        system: a generator of a bundle of this space.
+        system: of a bundle of this space.
+        generator: its generator.
         seeds: one run each; without anything random there is one run.
         start: "truth" gives the generator the first window of the recorded motion, of which it
             takes what its paper's protocol does (ANGIE: the first code pair); "pose" begins with
@@ -267,7 +284,6 @@ def generated(
     """
     if start not in STARTS:
         raise ValueError(f"start is one of {', '.join(STARTS)}, not {start!r}")
-    generator = system.bundle.generator(system.generator)
     random = generator.random and not greedy
     runs = [
         [

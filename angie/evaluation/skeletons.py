@@ -18,6 +18,7 @@ from angie.evaluation.evaluate import finish, make_rows, score_space
 from angie.evaluation.networks import EvaluationConfig, check_networks
 from angie.evaluation.rows import Row, perform, row_names, systems
 from angie.evaluation.space import RegionSpace
+from angie.evaluation.styles import style_spaces
 from angie.motion.keypoints import KeypointDataset, read_points, read_rate, resample
 from angie.motion.statistics import measure
 from data_prep.errors import BadInput
@@ -66,6 +67,7 @@ def evaluate_joints(
         rows = make_rows(space, entered, config)
         rows += [array_row(space, name, motions) for name, motions in found.items()]
         result = score_space(data, space, rows, models, part, 0, config)
+        result["styles"] = style_spaces(space, entered)
         for name, motions in found.items():
             result["warnings"] += shorter_or_longer(space, name, motions)
         shutil.rmtree(part / "features", ignore_errors=True)

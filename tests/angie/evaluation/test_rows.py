@@ -84,4 +84,4 @@ def test_short_training_clips_serve_in_more_pieces(space):
 
 def test_an_unknown_start_is_refused(space):
     with pytest.raises(ValueError, match="truth, pose"):
-        rows.generated(space, None, [0], start="zero")
+        rows.generated(space, None, None, [0], start="zero")
