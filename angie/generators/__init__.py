@@ -31,6 +31,12 @@ def _angie() -> "Family":
     return FAMILY
 
 
+def _tricon() -> "Family":
+    from angie.generators.tricon.family import FAMILY
+
+    return FAMILY
+
+
 def upgraded(manifest: dict[str, Any]) -> dict[str, Any]:
     """The manifest of format 2 of a bundle of format 1, which knew ANGIE alone.
 
@@ -42,7 +48,7 @@ def upgraded(manifest: dict[str, Any]) -> dict[str, Any]:
     return upgrade(manifest)
 
 
-GENERATORS: dict[str, Callable[[], "Family"]] = {"angie": _angie}
+GENERATORS: dict[str, Callable[[], "Family"]] = {"angie": _angie, "tricon": _tricon}
 """What makes a family, by its name; programs may put their own here."""
 
 

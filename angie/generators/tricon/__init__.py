@@ -1,0 +1,1 @@
+"""TriCon (TOG 2020): gestures from words, sound and identity, with a discriminator."""
