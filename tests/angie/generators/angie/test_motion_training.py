@@ -112,7 +112,7 @@ def test_after_a_warmup_the_codebooks_begin_with_clusters(vq, windows, tmp_path,
         "init_codebook",
         lambda self, deltas: (asked.append(len(deltas)), init(self, deltas)),
     )
-    training = VQTraining(schedule(80, 3e-3), warmup=0.5, path_loss=1.0)
+    training = VQTraining(schedule(40, 3e-3), warmup=0.5, path_loss=1.0)
     warm = train_vq(begun(tmp_path), windows, None, VQ, training)
     assert asked == [len(windows)] and reconstruction(warm, windows)["shift_used"] > 5
     deltas = Channels.of(windows.statistics).normalise(windows.stack("poses", 0, 32))
