@@ -120,11 +120,7 @@ PRESETS = {"paper": Preset, "lite": _lite, "tiny": _tiny}
 
 
 def preset(name: str, generator: str | None = None) -> Preset:
-    """The preset of a name, with the settings of one generator.
-
-    Raises:
-        BadInput: an unknown name.
-    """
+    """The preset of a name, with the settings of one generator; `BadInput` of an unknown name."""
     check_choice("--preset", name, PRESETS)
     return with_generator(PRESETS[name](), generator)
 
@@ -211,11 +207,7 @@ def override(base: Preset, changes: Mapping[str, Any]) -> Preset:
 
 
 def stored(config: Mapping[str, Any]) -> Preset:
-    """The preset that a bundle's manifest holds; settings of generators are looked at when asked.
-
-    Raises:
-        BadInput: an unknown key or a value of another type.
-    """
+    """The preset of a bundle's manifest, as `override`; generators' settings are read later."""
     generators = _several(config.get("generators", {}), "generators")
     shared = {key: value for key, value in config.items() if key != "generators"}
     return replace(override(Preset(), shared), generators=generators)
@@ -240,11 +232,7 @@ _SECTIONS = {entry.name for entry in dataclasses.fields(Preset)} - {"generators"
 
 
 def _several(value: Any, key: str) -> Mapping[str, Any]:
-    """A value that has to be a mapping of settings.
-
-    Raises:
-        BadInput: it is something else.
-    """
+    """A value that has to be a mapping of settings; else `BadInput`."""
     if not isinstance(value, Mapping):
         raise BadInput(f"{key}: holds several settings, name one of them")
     return value

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import soxr
 import torch
 from numpy.typing import NDArray
 
@@ -28,9 +27,9 @@ from data_prep.media.audio import read_sound
 from data_prep.media.video import VideoWriter
 from data_prep.media.writer import WriteThread
 from data_prep.progress import progress
-from data_prep.rates import FPS, IMAGE_SIZE, SAMPLE_RATE
+from data_prep.rates import FPS, IMAGE_SIZE
 from data_prep.speaker.crop import Crop, cut_out
-from data_prep.speech.features import FEATURES, Speech
+from data_prep.speech.features import FEATURES, Speech, mono
 from data_prep.speech.transcript import read_transcript
 from data_prep.speech.words import Word
 from mraa.affine import WITH_AXES
@@ -356,27 +355,6 @@ class GesturePipeline:
         config = self.renderer.config
         self.renderer.flow.revert_axis_swap = config.revert_axis_swap and not track_axes
         return self.renderer
-
-
-def mono(samples: NDArray, rate: int) -> NDArray[np.float32]:
-    """Samples (N,) float32 at 16 kHz of samples (N,) or (N, 2) at any rate; see `Audio`.
-
-    Raises:
-        BadInput: another shape or type, nothing, or numbers that are not finite.
-    """
-    if not isinstance(samples, np.ndarray):
-        raise BadInput(f"audio: give an array and its rate, not {type(samples).__name__} first")
-    if samples.dtype in (np.int16, np.int32):
-        samples = samples / -float(np.iinfo(samples.dtype).min)
-    good = samples.dtype.kind == "f" and samples.ndim in (1, 2) and samples.size and rate > 0
-    if not good or (samples.ndim == 2 and samples.shape[1] > 2) or not np.isfinite(samples).all():
-        raise BadInput(
-            "audio: give samples (N,) or (N, 2), finite floats in [-1, 1] or whole numbers of 16 "
-            f"or 32 bits, and their rate, not {samples.shape} {samples.dtype} at {rate}"
-        )
-    mixed = samples if samples.ndim == 1 else samples.mean(axis=1)
-    made = soxr.resample(mixed.astype(np.float32), rate, SAMPLE_RATE)
-    return np.clip(made, -1, 1)
 
 
 def write_video(video: VideoWriter, batches: Iterable[np.ndarray], frames: int) -> int:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+import soxr
 from numpy.typing import NDArray
 
 from data_prep.errors import BadInput
@@ -26,7 +27,7 @@ from data_prep.speech.words import Word
 
 __all__ = [
     "FEATURES", "MFCC_COLUMNS", "MFCC_ROWS", "ONSET_SIZE", "FeatureFiles", "FeatureStore", "Speech",
-    "register_feature", "write_features",
+    "mono", "register_feature", "write_features",
 ]  # fmt: skip
 
 Compute = Callable[["Speech"], NDArray]
@@ -242,3 +243,26 @@ def _read_arrays(path: Path, names: Iterable[str]) -> list[NDArray]:
             return [file[name] for name in names]
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise BadInput(f"{path}: damaged or missing; prepare the dataset again") from error
+
+
+def mono(samples: np.ndarray, rate: int) -> np.ndarray:
+    """Samples (N,) float32 at 16 kHz of samples (N,) or (N, 2) at any rate.
+
+    Floats are in [-1, 1]; whole numbers have 16 or 32 bits.
+
+    Raises:
+        BadInput: another shape or type, nothing, or numbers that are not finite.
+    """
+    if not isinstance(samples, np.ndarray):
+        raise BadInput(f"audio: give an array and its rate, not {type(samples).__name__} first")
+    if samples.dtype in (np.int16, np.int32):
+        samples = samples / -float(np.iinfo(samples.dtype).min)
+    good = samples.dtype.kind == "f" and samples.ndim in (1, 2) and samples.size and rate > 0
+    if not good or (samples.ndim == 2 and samples.shape[1] > 2) or not np.isfinite(samples).all():
+        raise BadInput(
+            "audio: give samples (N,) or (N, 2), finite floats in [-1, 1] or whole numbers of 16 "
+            f"or 32 bits, and their rate, not {samples.shape} {samples.dtype} at {rate}"
+        )
+    mixed = samples if samples.ndim == 1 else samples.mean(axis=1)
+    made = soxr.resample(mixed.astype(np.float32), rate, SAMPLE_RATE)
+    return np.clip(made, -1, 1)

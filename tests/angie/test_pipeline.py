@@ -10,7 +10,7 @@ import torch
 from PIL import Image
 
 from angie.bundle import Bundle
-from angie.pipeline import GesturePipeline, GestureVideo, mono, scale_displacement
+from angie.pipeline import GesturePipeline, GestureVideo, scale_displacement
 from angie.source import View, framing
 from data_prep.errors import BadInput
 from data_prep.media.audio import read_sound, write_wav
@@ -18,6 +18,7 @@ from data_prep.media.video import read_frames
 from data_prep.phantom.make import recording, still, take
 from data_prep.rates import SAMPLE_RATE
 from data_prep.speaker.crop import Crop, cut_out, find_faces, speaker_crop
+from data_prep.speech.features import mono
 from mraa.draw import render, source_pose
 from mraa.motion import Motion
 from mraa.renderer import from_pixels
