@@ -374,9 +374,10 @@ def scale_displacement(
     """Scale shifts away from `pose` by the person's size against a training speaker's.
 
     The size is the square root of the area that the regions span (MRAA's relative mode). The
-    training speaker is the one whose style the motion has, or without a style the mean of all.
+    training speaker is the one whose style the motion has; without a style, or with one that is
+    nobody's, the mean of all.
     """
-    one = style if style in statistics.speakers else None
+    one = None if style is None or set(style) & set(":,") else style  # a mixture or a point
     mean = statistics.rest.mean(dim=0)
     rest = Motion.from_vector((mean if one is None else statistics.rest_of(one))[None])
     scale = hull_scale(pose.shift[0], rest.shift[0])
