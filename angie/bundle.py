@@ -385,3 +385,7 @@ PHOTO = DEFAULT / "photo.png"
 
 SPEECH = DEFAULT / "speech.flac"
 """Speech of the built-in synthesiser."""
+
+
+WORDS = DEFAULT / "words.json"
+"""What is said in it."""

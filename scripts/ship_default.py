@@ -1,4 +1,4 @@
-"""Put a trained bundle into the package as the default, with a phantom's photo and recording.
+"""Put a trained bundle into the package as the default, with a phantom's photo, speech and words.
 
     python scripts/ship_default.py BUNDLE
 
@@ -15,11 +15,12 @@ import soundfile
 from PIL import Image
 from safetensors.torch import load_file
 
-from angie.bundle import BUNDLE, PHOTO, SPEECH, Bundle
+from angie.bundle import BUNDLE, PHOTO, SPEECH, WORDS, Bundle
 from angie.parts import halve
 from data_prep.errors import call_script
 from data_prep.files import whole_folder
 from data_prep.phantom.make import recording, still
+from data_prep.speech.words import Word, write_words
 
 PRESENTER, VIDEO = 1, 0
 """Which phantom is shown, in clothes and at a place that the training videos do not have."""
@@ -62,6 +63,7 @@ def main() -> None:
     speech = recording(PRESENTER, seconds=SECONDS, number=VIDEO, seed=SEED)
     samples = np.clip(speech.samples, -1, 1)
     soundfile.write(SPEECH, samples, speech.rate, subtype="PCM_16")
+    write_words(WORDS, [Word(w.word, w.start, w.end) for w in speech.words])
     for path in sorted(BUNDLE.parent.rglob("*")):
         if path.is_file():
             print(f"{path.stat().st_size / 1e6:6.2f} MB  {path.relative_to(BUNDLE.parent)}")

@@ -62,6 +62,8 @@ renderer data70 bundle train_renderer.initial="$work/regions/renderer.safetensor
   angie train "$work/data116" -o "$work/bundle" --stage gpt --resume
 [ -f "$work/bundle/angie.refiner.safetensors" ] ||
   angie train "$work/data116" -o "$work/bundle" --stage refiner --resume
+[ -f "$work/bundle/tricon.generator.safetensors" ] ||
+  angie train "$work/data116" -o "$work/bundle" --resume --generator tricon
 shipped="$work/bundle"
 if [ $# -ge 4 ]; then
   videos 9 9 18 11

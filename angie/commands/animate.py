@@ -187,15 +187,27 @@ def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="The mp4 to write.")] = Path(
         "angie-demo.mp4"
     ),
+    generator: Generator = None,
     seed: Seed = 0,
     device: Device = "auto",
     precision: Precision = "auto",
     force: Force = False,
 ) -> None:
     """Animate the photo and the recording that ship with angie."""
-    from angie.bundle import PHOTO, SPEECH
+    from angie.bundle import PHOTO, SPEECH, WORDS
+    from angie.generators import DEFAULT
 
-    animate(PHOTO, output, SPEECH, seed=seed, device=device, precision=precision, force=force)
+    animate(
+        PHOTO,
+        output,
+        SPEECH,
+        generator=generator,
+        words=None if generator in (None, DEFAULT) else WORDS,
+        seed=seed,
+        device=device,
+        precision=precision,
+        force=force,
+    )
 
 
 def gestures(
@@ -288,6 +300,7 @@ def ablate(
     variants: Annotated[
         str | None, typer.Option(help="Some of the variants, separated by commas; all by default.")
     ] = None,
+    generator: Generator = None,
     seeds: Seeds = 1,
     no_images: NoImages = False,
     image_stride: ImageStride = 25,
@@ -297,7 +310,7 @@ def ablate(
     seed: Seed = 0,
     device: Device = "auto",
 ) -> None:
-    """Train and score the variants of the paper's Table 3; repeat it to continue a killed run."""
+    """Train and score the variants of a paper's ablations; repeat it to continue a killed run."""
     if output is None:
         raise BadInput("--output: name the folder of the ablations, -o DIR")
     if fgd is not None:
@@ -324,6 +337,7 @@ def ablate(
         bundle,
         output,
         variants=chosen,
+        generator=generator,
         changes=parse_overrides(settings or []),
         config=scoring,
         seed=seed,
