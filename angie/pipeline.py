@@ -269,12 +269,18 @@ class GesturePipeline:
         check_choice("--scale-motion", scale_motion, SCALES)
         check_style(self.bundle, style, self.name)
         subject = self.subject(photo, view)
-        if words or speech is None or not all(name in speech for name in self.generator.features):
-            speech = self.speech(audio, words)
+        given = speech
+        whole = given is not None and all(name in given for name in self.generator.features)
+        if words is not None or given is None or not whole:
+            said = given.words if given is not None and words is None else words
+            speech = self.speech(audio, said)
+        assert speech is not None
         pose = source_pose(self.renderer, subject.picture)
         motion = self.generator.generate(
             speech, pose, speech.frames, seed=seed, style=style, controls=controls, greedy=greedy
         )
+        if speech is not given:
+            speech.forget_samples()  # those of long recordings, which the renderer does not need
         if scale_motion == "hull":
             motion = scale_displacement(motion, pose, self.statistics, style)
 

@@ -43,7 +43,8 @@ class GestureGenerator(Protocol):
 
     Attributes:
         fps: frames a second that the generator works at; callers see 25 whatever it is.
-        features: names of the features of `Speech` that it reads.
+        features: names of the features of `Speech` that it reads; "waveform" and "words" are its
+            samples and its words themselves.
         lookahead: seconds of sound after a frame that it has to know; None: the whole recording.
     """
 

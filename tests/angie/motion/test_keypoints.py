@@ -282,3 +282,22 @@ def test_an_unreadable_recording_leaves_no_bundle(data, tmp_path, capsys, tiny):
     status, _, error = call(capsys, "train", folder, *arguments)
     assert status == 2 and "c7.wav" in error and error.count("\n") == 1
     assert not (tmp_path / "model").exists()
+
+
+def test_transcripts_lie_beside_the_recordings(data, model, tmp_path):
+    copy, cache = tmp_path / "data", model / "train" / "features"
+    shutil.copytree(data, copy)
+    joints = KeypointDataset(copy, cache)
+    bare = joints.digest
+    assert joints.speech("c1").words is None
+    (copy / "audio" / "c1.srt").write_text("1\n00:00:01,000 --> 00:00:02,000\nup here\n")
+    (copy / "audio" / "c2.txt").write_text("one two three")
+    again = KeypointDataset(copy, cache)
+    assert [(w.word, w.start) for w in again.speech("c1").words] == [("up", 1.0), ("here", 4 / 3)]
+    aligned = again.speech("c2").words
+    assert [w.word for w in aligned] == ["one", "two", "three"]
+    assert aligned[0].start >= 0.45  # the sound begins after half a second
+    assert again.digest != bare
+    (copy / "audio" / "c1.srt").write_text("nothing")
+    with pytest.raises(BadInput, match="c1.srt: cannot be read as a transcript"):
+        again.speech("c1")
