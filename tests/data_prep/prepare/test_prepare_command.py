@@ -27,7 +27,7 @@ def fail(*arguments: str) -> str:
         (["a.mp4", "--crop", "1,2"], "give x,y,size"),
         (["a.mp4", "--crop", "1,2,0"], "above 0"),
         (["a.mp4", "--crop", "1,2,3,4,5"], "give x,y,size"),
-        (["a.mp4", "--person", "middle"], "left, right or largest"),
+        (["a.mp4", "--person", "middle"], "choose from left, right, largest"),
         (["a.mp4", "--shortest", "9"], "twice --shortest"),
         (["a.mp4", "--longest", "nan"], "twice --shortest"),
         (["a.mp4", "--add", "--force"], "give one"),
