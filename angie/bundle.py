@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 from torch import Tensor
 
 from angie import __version__
@@ -49,6 +49,7 @@ from angie.parts import (
 from data_prep.errors import BadInput
 from data_prep.files import sha256, whole_file
 from data_prep.rates import FPS, IMAGE_SIZE
+from data_prep.tensors import save_tensors
 from mraa.avd import AvdNetwork
 from mraa.renderer import Renderer, make_avd
 
@@ -106,7 +107,7 @@ class Bundle:
         if not path.is_file():
             raise BadInput(f"{folder}: not a speaker bundle, it has no bundle.json")
         try:
-            manifest = json.loads(path.read_text())
+            manifest = json.loads(path.read_bytes())
             version = manifest["format"]
             if version > FORMAT:
                 raise BadInput(f"bundle format {version} is newer than {FORMAT}; update angie")
@@ -233,7 +234,7 @@ class Bundle:
             os.replace(tensors, path)
         else:
             with whole_file(path, force=True) as new:
-                save_file({k: v.detach().contiguous().cpu() for k, v in tensors.items()}, new)
+                save_tensors(new, {k: v.detach().contiguous().cpu() for k, v in tensors.items()})
         self.manifest["parts"][part] = {
             "file": path.name,
             "sha256": sha256(path),

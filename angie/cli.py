@@ -5,6 +5,7 @@ import io
 import os
 import signal
 import sys
+import warnings
 from typing import Annotated
 
 # How threads of GNU OpenMP wait for the next parallel loop, before torch is imported: those that
@@ -19,7 +20,7 @@ from angie.commands.animate import ablate, animate, codebook, demo, gestures
 from angie.commands.evaluate import evaluate
 from angie.commands.prepare import phantom, prepare
 from angie.commands.train import import_mraa, info, train
-from data_prep.errors import BadInput
+from data_prep.errors import BadInput, Note
 from data_prep.progress import console
 
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
@@ -96,12 +97,27 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     Interrupt.came = False
-    status, text = _run()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what libraries warn of is not the user's to mend
+        warnings.simplefilter("always", Note)
+        shown: set[str] = set()
+        warnings.showwarning = lambda message, *_, **__: _show_once(str(message), shown)
+        status, text = _run()
     if text:
-        line = f"angie: {' '.join(text.splitlines())}"
-        console.print(line, style="red", highlight=False, markup=False, soft_wrap=True)
+        _show(text, "red")
     if status:
         sys.exit(status)
+
+
+def _show(text: str, style: str | None = None) -> None:
+    line = f"angie: {' '.join(text.splitlines())}"
+    console.print(line, style=style, highlight=False, markup=False, soft_wrap=True)
+
+
+def _show_once(text: str, shown: set[str]) -> None:
+    if text not in shown:
+        shown.add(text)
+        _show(text)
 
 
 def _run() -> tuple[int, str]:
@@ -114,7 +130,10 @@ def _run() -> tuple[int, str]:
         return 2, f"{_usage(error)} (see {_place()} --help)"
     except OSError as error:  # disk full, no permission, a name that is too long ...
         place = f"{error.filename}: " if error.filename else ""
-        return 2, f"{place}{error.strerror or error}"
+        reason = error.strerror or str(error)
+        if "requested and" in reason:  # of NumPy, which does not say why
+            reason = f"could not be written whole; is the disk full? ({reason})"
+        return 2, f"{place}{reason}"
     except (KeyboardInterrupt, typer.Abort):  # Typer makes a status of it, but not everywhere
         status = INTERRUPTED
     except Exception:

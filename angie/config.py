@@ -167,7 +167,7 @@ def parse_overrides(arguments: list[str]) -> dict[str, Any]:
                     value = {name: value}
                 _merge(result, value)
             elif Path(argument).suffix in (".yaml", ".yml"):
-                loaded = yaml.safe_load(Path(argument).read_text())
+                loaded = yaml.safe_load(Path(argument).read_bytes())
                 if not isinstance(loaded, dict):
                     raise BadInput(f"{argument}: not a mapping of keys to values")
                 _merge(result, loaded)

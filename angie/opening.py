@@ -15,7 +15,7 @@ from angie.bundle import Bundle
 from angie.config import Preset, override, with_generator
 from angie.generators import DEFAULT, family
 from angie.generators.stages import plain
-from angie.parts import difference
+from angie.parts import difference, stage_options
 from data_prep.errors import BadInput
 from data_prep.files import check_output
 from mraa.perceptual import load_vgg19
@@ -143,6 +143,7 @@ def open_or_create(
         )
     changed = override(_with(bundle.preset, generator), changes)
     if changed != bundle.preset:
+        check_used(bundle, changed, stage)
         try_out(changed)
         bundle.preset = changed
         drawn = "renderer" in bundle.parts and not bundle.has("renderer")
@@ -150,6 +151,45 @@ def open_or_create(
             try_weights(changed)
         bundle.write()
     return bundle
+
+
+def check_used(bundle: Bundle, changed: Preset, stage: str) -> None:
+    """Refuse settings of a training that is over: the bundle would tell of what was not done.
+
+    Args:
+        bundle: with the settings that its parts were trained with.
+        changed: those that are asked for.
+        stage: what will be trained, "all" or a stage.
+
+    Raises:
+        BadInput: which setting would not be used.
+    """
+    now = Bundle(bundle.folder, bundle.manifest, changed)
+    again: set[str] = set()
+    for part in now.parts:
+        name, options = part.partition(".")[2] or part, stage_options(part)
+        if stage == "all":
+            anew = not now.has(part) or bool(again & set(now.upstream(part)))
+        else:
+            anew = options.endswith(f"--stage {stage}") or not now.has(part)
+        if anew:
+            again.add(part)
+            continue
+        before, after = (_training(part, name, preset) for preset in (bundle.preset, changed))
+        other = difference(before, after)
+        if other:
+            raise BadInput(
+                f"{bundle.folder}: {part} is trained already, with {other}; leave it out, "
+                f"or train it again with {options}"
+            )
+
+
+def _training(part: str, stage: str, preset: Preset) -> dict[str, Any]:
+    """The settings of the training of a part, as plain values under their section's name."""
+    section = f"train_{stage}"
+    owner = preset if part == stage else preset.settings(part.partition(".")[0])
+    found = getattr(owner, section, None)
+    return {} if found is None else plain({section: found})
 
 
 def _with(preset: Preset, generator: str | None) -> Preset:

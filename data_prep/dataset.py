@@ -16,13 +16,14 @@ from typing import Any
 import cv2
 import numpy as np
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
 
 from data_prep.errors import BadInput
 from data_prep.media.audio import read_sound
 from data_prep.rates import FPS, SAMPLES_PER_FRAME
 from data_prep.speech.features import FeatureFiles, Speech
 from data_prep.speech.words import Word, read_words, slice_words
+from data_prep.table import number, read_table
+from data_prep.tensors import save_tensors
 
 MAX_BYTES = 25_000
 """Most that a frame takes on average."""
@@ -51,7 +52,7 @@ def write_frames(path: Path, frames: Iterable[bytes]) -> None:
     """
     parts = [np.frombuffer(frame, np.uint8) for frame in frames]
     offset = np.cumsum([0, *(len(part) for part in parts)], dtype=np.int64)
-    save_file({"jpeg": np.concatenate(parts), "offset": offset}, str(path))
+    save_tensors(path, {"jpeg": np.concatenate(parts), "offset": offset})
 
 
 class FrameStore:
@@ -168,17 +169,16 @@ class Dataset:
         """
         self.path = Path(path)
         try:
-            text = (self.path / MANIFEST).read_text(encoding="utf-8")
-            self.manifest: dict[str, Any] = json.loads(text)
-            with (self.path / TABLE).open(encoding="utf-8", newline="") as file:
-                rows = list(csv.DictReader(file))
+            self.manifest: dict[str, Any] = json.loads((self.path / MANIFEST).read_bytes())
+            (self.path / TABLE).open("rb").close()  # else it would be no dataset
+            rows = read_table(self.path / TABLE, COLUMNS[:5] + COLUMNS[6:7])
             self._clips = [
                 Clip(
                     id=row["clip_id"],
                     speaker=row["speaker"],
                     split=row["split"],
                     source=row["source"],
-                    start=float(row["start"]),
+                    start=number(row["start"]),
                     n_frames=int(row["n_frames"]),
                 )
                 for row in rows

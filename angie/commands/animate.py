@@ -33,7 +33,7 @@ from angie.commands.options import (
     square_of,
     want_file,
 )
-from data_prep.errors import BadInput, check_choice
+from data_prep.errors import BadInput, check_choice, collected_notes, note
 from data_prep.progress import begin, console
 from data_prep.rates import FPS
 
@@ -146,7 +146,7 @@ def animate(
             greedy=greedy,
             scale_motion=scale_motion,
             view=view,
-            speech=heard() if heard else None,
+            speech=_noted(*heard()) if heard else None,
             words=words,
         )
     result.save(output, force=force)
@@ -157,8 +157,8 @@ def animate(
     print(f"{output}: {result.frames} frames of {width}x{height}, {sound}")
 
 
-def _heard(audio: Path) -> "Speech":
-    """The features of a recording that the default generator reads.
+def _heard(audio: Path) -> "tuple[Speech, list[str]]":
+    """The features of a recording that the default generator reads, and what was odd about it.
 
     In a process of its own: Librosa is imported beside the networks' libraries, not after them.
     """
@@ -166,10 +166,17 @@ def _heard(audio: Path) -> "Speech":
     from data_prep.media.audio import read_sound
     from data_prep.speech.features import Speech
 
-    speech = Speech(read_sound(audio))
-    for name in DEFAULT_FEATURES:
-        speech[name]
+    with collected_notes() as notes:
+        speech = Speech(read_sound(audio))
+        for name in DEFAULT_FEATURES:
+            speech[name]
     speech.forget_samples()
+    return speech, notes
+
+
+def _noted(speech: "Speech", notes: list[str]) -> "Speech":
+    for text in notes:
+        note(text)
     return speech
 
 

@@ -64,7 +64,10 @@ def prepare(
         bool, typer.Option("--stabilize", help="Hold the picture still where the camera moves.")
     ] = False,
     silent_ok: Annotated[
-        bool, typer.Option("--silent-ok", help="Keep videos without sound (for the renderer only).")
+        bool,
+        typer.Option(
+            "--silent-ok", help="Keep videos without sound and short clips (for the renderer only)."
+        ),
     ] = False,
     shortest: Annotated[float, typer.Option(min=3.9, help="Seconds of the shortest clip.")] = 4.0,
     longest: Annotated[float, typer.Option(help="Seconds of the longest clip.")] = 14.0,

@@ -135,7 +135,7 @@ def _begin(output: Path, origin: dict[str, Any]) -> None:
     if mark.is_file():
         kept = None
         with suppress(OSError, ValueError):  # of a damaged one nothing is known
-            kept = json.loads(mark.read_text())
+            kept = json.loads(mark.read_bytes())
         if kept != origin:
             raise BadInput(f"{output}: holds ablations of other settings; name a new folder")
         return

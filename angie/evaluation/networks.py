@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors.torch import save_file
 
 from angie.evaluation.images import FrameChoice, FrameJudge
 from angie.evaluation.space import JointReader, RegionSpace, fit_reader
@@ -30,6 +29,7 @@ from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
 from data_prep.files import sha256
 from data_prep.rates import FPS
+from data_prep.tensors import save_tensors
 from mraa.perceptual import PerceptualDistance
 from mraa.renderer import Renderer
 
@@ -207,7 +207,7 @@ def make_frame_judge(
         origin["network of AED"] = "none, too few training clips"
     else:
         path = folder / f"identity-{number}.safetensors"
-        save_file({k: v.contiguous() for k, v in identity.state_dict().items()}, path)
+        save_tensors(path, {k: v.contiguous() for k, v in identity.state_dict().items()})
         origin["network of AED"] = f"{path.name} sha256 {sha256(path)}, {asdict(training)}"
     reader, error = _reader(space, joints)
     if error is not None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from safetensors import safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from angie.motion.clips import MotionClip
@@ -18,6 +18,7 @@ from angie.motion.windows import STRIDE, WINDOW, MotionWindows, other_grids
 from data_prep.errors import BadInput
 from data_prep.files import whole_file
 from data_prep.rates import FPS
+from data_prep.tensors import save_tensors
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -160,7 +161,7 @@ class StageContext:
         made = {key: value.contiguous().cpu() for key, value in make().items()}
         if int(os.environ.get("LOCAL_RANK", "0")) == 0:  # the same in every process
             with whole_file(path, force=True) as part:
-                save_file(made, part, {"identity": self.run.identity})
+                save_tensors(part, made, {"identity": self.run.identity})
         return made
 
 

@@ -14,10 +14,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from data_prep.errors import BadInput
+from data_prep.tensors import save_tensors
 
 if TYPE_CHECKING:
     from mraa.training.run import Run
@@ -232,7 +232,7 @@ def save_autoencoder(
         "training": {**asdict(training or AutoencoderTraining()), "seed": seed},
     }
     # one entry, because the order of several is another in every process
-    save_file(tensors, path, metadata={KEY: json.dumps(about, sort_keys=True)})
+    save_tensors(path, tensors, {KEY: json.dumps(about, sort_keys=True)})
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ Coordinates may have any unit and origin; joints must be finite. Motion is resam
 a second for the models and comes back at any rate.
 """
 
-import csv
 import glob
 import hashlib
 from dataclasses import dataclass
@@ -32,6 +31,7 @@ from data_prep.media.audio import read_sound
 from data_prep.rates import FPS
 from data_prep.speech.features import FeatureFiles, Speech, write_features
 from data_prep.speech.transcript import find_transcript, read_transcript
+from data_prep.table import number, read_table
 from mraa.motion import UNREADABLE, Motion
 
 INDEX = "clips.csv"
@@ -155,27 +155,16 @@ class KeypointDataset:
     def __init__(self, path: Path, cache: Path) -> None:
         self.path, self.cache = Path(path), Path(cache)
         self._joints: dict[str, int] = {}
-        self._clips = [self._clip(row) for row in self._rows()]
+        self._clips = [self._clip(row) for row in read_table(self.path / INDEX, COLUMNS)]
         names = [clip.id for clip in self._clips]
         if len(set(names)) < len(names):
             raise BadInput(f"{self.path / INDEX}: names a clip twice")
 
-    def _rows(self) -> list[dict[str, str]]:
-        path = self.path / INDEX
-        try:
-            with path.open(newline="", encoding="utf-8-sig") as file:
-                reader = csv.DictReader(file)
-                if not set(COLUMNS) <= set(reader.fieldnames or ()):
-                    raise BadInput(f"{path}: needs the columns {', '.join(COLUMNS)}")
-                return list(reader)
-        except (OSError, UnicodeDecodeError, csv.Error) as error:
-            raise BadInput(f"{path}: cannot be read ({error})") from error
-
     def _clip(self, row: dict[str, str]) -> KeypointClip:
-        name, index = row["clip"] or "", self.path / INDEX
+        name, index = row["clip"], self.path / INDEX
         try:
-            fps = float(row["fps"])
-        except (TypeError, ValueError):
+            fps = number(row["fps"])
+        except ValueError:
             fps = 0.0
         if not name or Path(name).name != name or row["split"] not in SPLITS or not row["speaker"]:
             wanted = f"a name, a speaker and {', '.join(SPLITS[:-1])} or {SPLITS[-1]}"

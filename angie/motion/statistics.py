@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
 from angie.motion.clips import MotionClip
 from data_prep.errors import BadInput
 from data_prep.speech.features import MFCC_COLUMNS
+from data_prep.tensors import save_tensors
 from mraa.motion import deltas, pack_covariance
 
 BEAT_COLUMN = 41
@@ -135,7 +135,7 @@ class MotionStatistics:
     def save(self, path: Path) -> None:
         """Write a safetensors file; the speakers' names are in its metadata."""
         tensors = {name: getattr(self, name).contiguous() for name in _TENSORS}
-        save_file(tensors, path, metadata={"format": "1", "speakers": json.dumps(self.speakers)})
+        save_tensors(path, tensors, {"format": "1", "speakers": json.dumps(self.speakers)})
 
     @classmethod
     def load(cls, path: Path) -> "MotionStatistics":

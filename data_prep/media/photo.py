@@ -1,5 +1,7 @@
 """Photos: any picture file as upright 8-bit RGB."""
 
+import contextlib
+import struct
 import warnings
 from pathlib import Path
 
@@ -7,7 +9,9 @@ import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from data_prep.errors import BadInput
+from data_prep.media.colours import to_srgb
 from data_prep.media.container import check_file, describe
+from data_prep.media.kinds import HEIC, kind_of
 
 MIN_SIDE = 32
 """Pixels of the shorter side below which nothing can be recognised."""
@@ -24,17 +28,21 @@ def _to_eight_bits(image: Image.Image) -> Image.Image:
         values = values * (255 / 65535)
     elif values.max(initial=0) <= 1:
         values = values * 255
-    return Image.fromarray(np.clip(np.rint(values), 0, 255).astype(np.uint8), "L")
+    values = np.clip(np.rint(np.nan_to_num(values)), 0, 255)
+    eight = Image.fromarray(values.astype(np.uint8), "L")
+    eight.info = image.info
+    return eight
 
 
 def read_photo(path: Path) -> np.ndarray:
-    """Read a photo, turned upright by its EXIF orientation.
+    """Read a photo, turned upright by its EXIF orientation, in the colours that viewers show.
 
-    Greyscale and palette pictures become RGB, transparency is laid over mid grey, 16-bit
-    greyscale is scaled to 8 bits, and the first picture of an animation is taken.
+    Its colour profile is applied. Greyscale and palette pictures become RGB, transparency is laid
+    over mid grey, 16-bit greyscale is scaled to 8 bits, and the first picture of an animation is
+    taken.
 
     Args:
-        path: any picture format that Pillow reads.
+        path: any picture format that Pillow reads; HEIC where pillow-heif is installed.
 
     Returns:
         pixels `(H, W, 3)` uint8 RGB.
@@ -44,13 +52,19 @@ def read_photo(path: Path) -> np.ndarray:
     """
     path = Path(path)
     check_file(path)
+    kind = kind_of(path)
+    if kind == HEIC:
+        _read_heic()
     try:
         with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of damaged EXIF blocks, which are passed over
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(path) as opened:
                 pixels = _upright(opened)
     except UnidentifiedImageError as error:
-        raise BadInput(f"{path}: not a picture; give a photo (jpg, png, webp ...)") from error
+        what = f"but {kind}" if kind and kind != "a picture" else "that can be read"
+        advice = "" if ";" in what else "; give a photo (jpg, png, webp ...)"
+        raise BadInput(f"{path}: not a picture {what}{advice}") from error
     except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
         raise BadInput(f"{path}: is too large a picture; scale it down first") from error
     except Exception as error:  # Pillow's decoders raise whatever a damaged file leads them to
@@ -58,6 +72,14 @@ def read_photo(path: Path) -> np.ndarray:
             f"{path}: the picture is damaged ({describe(error)}); copy or save it again"
         ) from error
     return _checked(pixels, str(path))
+
+
+def _read_heic() -> None:
+    """Let Pillow read HEIC where the package for it is installed."""
+    with contextlib.suppress(ImportError):
+        from pillow_heif import register_heif_opener
+
+        register_heif_opener()
 
 
 def photo_pixels(photo: Image.Image | np.ndarray) -> np.ndarray:
@@ -80,7 +102,11 @@ def photo_pixels(photo: Image.Image | np.ndarray) -> np.ndarray:
 
 def _upright(image: Image.Image) -> np.ndarray:
     """Pixels `(H, W, 3)` uint8 RGB of a picture, turned by its EXIF tag."""
-    image = _to_eight_bits(ImageOps.exif_transpose(image))
+    try:
+        image = ImageOps.exif_transpose(image)
+    except (OSError, ValueError, TypeError, SyntaxError, KeyError, struct.error):
+        image.load()  # a damaged EXIF block says nothing of the pixels
+    image = to_srgb(_to_eight_bits(image))
     if image.has_transparency_data:
         ground = Image.new("RGBA", image.size, _GREY)
         image = Image.alpha_composite(ground, image.convert("RGBA"))

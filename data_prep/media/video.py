@@ -5,16 +5,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import av.error
+import av
 import numpy as np
 from av.container import InputContainer
 from av.video.frame import VideoFrame
 from av.video.reformatter import VideoReformatter
 from av.video.stream import VideoStream
 
-from data_prep.errors import BadInput
-from data_prep.media.audio import sound_track
-from data_prep.media.container import check_jump, describe, open_media
+from data_prep.errors import BadInput, note
+from data_prep.media.container import TOLERANCE, Damage, check_jump, decode, open_media
+from data_prep.media.sound_track import sound_track
 from data_prep.media.writer import VideoWriter
 from data_prep.rates import FPS
 
@@ -65,12 +65,14 @@ def _picture_stream(path: Path, container: InputContainer) -> VideoStream:
 
 
 def _decode(path: Path, container: InputContainer, stream: VideoStream) -> Iterator[VideoFrame]:
-    try:
-        yield from container.decode(stream)
-    except (av.error.FFmpegError, OSError, ValueError) as error:
-        raise BadInput(
-            f"{path}: the picture is damaged ({describe(error)}); copy or convert the video again"
-        ) from error
+    """Frames of a stream; what is damaged is passed over, and noted once all has been read."""
+    damage = Damage()
+    for frame in decode(container, stream, damage):
+        if isinstance(frame, VideoFrame) and frame.width and frame.height:
+            yield frame
+    damage.check(path, "picture")
+    if damage.seconds > TOLERANCE:
+        note(f"{path}: {damage.seconds:.1f} s of the picture are damaged and left out")
 
 
 def _quarter_turns(frame: VideoFrame) -> int:

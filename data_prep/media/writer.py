@@ -97,7 +97,8 @@ class VideoWriter:
         try:
             rate, channels, self._blocks = self._open_sound(sound, origin)
             options = {"movflags": "+faststart"}
-            self._container = av.open(str(path), mode="w", format="mp4", options=options)
+            # A name alone may hold a colon, and what is before it would be taken for a protocol.
+            self._container = av.open(f"file:{path}", mode="w", format="mp4", options=options)
             self._open.callback(self._container.close)
             if comment:
                 self._container.metadata["comment"] = comment

@@ -29,7 +29,8 @@ _CLOSE = 0.7
 
 _REACH, _WIDEST = 3.2, 0.35
 """Half width, in face widths, of the column around a face, from the hair down, in which no
-background is sought; and the most of the picture's width that the columns take to each side."""
+background is sought; and the most of the picture's width that the columns take to each side of
+a head. From the chin down they are as wide as that."""
 
 _STILL, _STILL_SHARE, _STILL_LEAD = 0.5, 0.3, 0.6
 """Pixels, part of the points, and part of those that move as one, by which points that stay
@@ -141,10 +142,11 @@ class CameraTracker:
         free = np.full(small.shape, 255, np.uint8)
         widest = _WIDEST * small.shape[1] / max(len(people), 1)
         for face in people:
-            half = min(_REACH * face.w, widest)
-            left, right = face.centre_x - half, face.centre_x + half
-            top = face.y - 0.6 * face.h
-            free[max(0, int(top)) :, max(0, int(left)) : max(0, int(right))] = 0
+            # Beside the head of a close-up there is background; beside its body there is none.
+            for top, most in ((face.y - 0.6 * face.h, widest), (face.y + face.h, np.inf)):
+                half = min(_REACH * face.w, most)
+                left, right = face.centre_x - half, face.centre_x + half
+                free[max(0, int(top)) :, max(0, int(left)) : max(0, int(right))] = 0
         found = cv2.goodFeaturesToTrack(small, _POINTS, 0.02, 7, mask=free)
         self._points = np.zeros((0, 1, 2), np.float32)
         if found is not None:

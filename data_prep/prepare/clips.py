@@ -10,7 +10,8 @@ from scipy.ndimage import uniform_filter1d
 from data_prep.dataset import encode_frame, write_frames
 from data_prep.media.audio import write_wav
 from data_prep.media.writer import VideoWriter
-from data_prep.prepare.spans import MIN_FRAMES, TOO_SHORT, Take
+from data_prep.prepare.source import IngestionConfig
+from data_prep.prepare.spans import Take
 from data_prep.rates import FPS, IMAGE_SIZE, SAMPLE_RATE, SAMPLES_PER_FRAME
 from data_prep.speaker.tracking import jumps
 from data_prep.speech.features import Speech, write_features
@@ -130,10 +131,10 @@ def motion(frames: list[np.ndarray]) -> float:
     return float(_changes(frames).mean())
 
 
-def fault(piece: Piece) -> str | None:
+def fault(piece: Piece, config: IngestionConfig) -> str | None:
     """Why a clip must be dropped by its pictures, or None."""
-    if len(piece.frames) < MIN_FRAMES:
-        return TOO_SHORT
+    if len(piece.frames) < config.fewest:
+        return config.too_short
     change = _changes(piece.frames)
     if change.mean() < MIN_MOTION:
         return "without motion"

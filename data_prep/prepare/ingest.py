@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from data_prep.dataset import Clip
-from data_prep.errors import BadInput
+from data_prep.errors import BadInput, collected_notes
 from data_prep.files import sha256
 from data_prep.media.audio import AUDIBLE, read_sound
 from data_prep.media.container import check_file
@@ -28,7 +28,7 @@ from data_prep.prepare.clips import (
 from data_prep.prepare.contact_sheet import write_sheet
 from data_prep.prepare.record import Record, files_of
 from data_prep.prepare.source import ClipDetail, IngestionConfig, Outcome, Source, Span
-from data_prep.prepare.spans import MIN_FRAMES, NO_PERSON, TWO_PEOPLE, Take, find_takes
+from data_prep.prepare.spans import NO_PERSON, TWO_PEOPLE, Take, find_takes
 from data_prep.prepare.workplace import check_room
 from data_prep.rates import FPS, SAMPLE_RATE, SAMPLES_PER_FRAME, frames_covering
 from data_prep.speaker.crop import Crop, cut_out
@@ -91,8 +91,9 @@ def _ingest(
     analysis = analyse(source.path, info)
     samples = _sound(source, info, analysis, config.silent_ok)
     frames = min(analysis.frames, frames_covering(len(samples)))
-    if frames < MIN_FRAMES:
-        raise BadInput(f"shorter than {MIN_FRAMES} frames ({frames})")
+    if frames < config.fewest:
+        remedy = "" if config.silent_ok else f"; {_SILENT}"
+        raise BadInput(f"{config.too_short} ({frames}){remedy}")
     takes = find_takes(analysis, info, config, frames)
     outcome.spans = [take.span for take in takes]
     if frames < analysis.frames:
@@ -105,7 +106,7 @@ def _ingest(
     parts = _intervals(source, info.start) or [(0, frames)]
     plans = list(_plans(takes, parts, samples, config))
     for plan, piece in _pieces(source, samples, plans, analysis):
-        reason = fault(piece) or tracking_fault(plan.take, plan.first, plan.stop)
+        reason = fault(piece, config) or tracking_fault(plan.take, plan.first, plan.stop)
         if reason is not None:
             outcome.dropped[reason] += len(piece.frames) / FPS  # type: ignore[assignment]
             continue
@@ -140,14 +141,14 @@ def _plans(
     takes: list[Take], parts: list[tuple[int, int]], samples: np.ndarray, config: IngestionConfig
 ) -> Iterator[_Plan]:
     """Clips within the takes that are used and the parts of the video that are asked for."""
-    shortest = max(round(config.shortest * FPS), MIN_FRAMES)
+    shortest = max(round(config.shortest * FPS), config.fewest)
     longest = max(round(config.longest * FPS), shortest)
     for number, take in enumerate(takes):
         if take.span.reason is not None:
             continue
         for low, high in parts:
             first, stop = max(take.span.first, low), min(take.span.stop, high)
-            if stop - first < MIN_FRAMES:
+            if stop - first < config.fewest:
                 continue
             sound = samples[first * SAMPLES_PER_FRAME : stop * SAMPLES_PER_FRAME]
             for a, b in clip_bounds(sound, stop - first, shortest, longest):
@@ -238,8 +239,10 @@ def _make(order: Order) -> Record:
     warnings: list[str] = []
     key = order.key
     try:
-        words, warnings = _words(order)
-        outcome = ingest(order.source, order.folder, order.config, words)
+        with collected_notes() as notes:
+            words, warnings = _words(order)
+            outcome = ingest(order.source, order.folder, order.config, words)
+        warnings += [text.removeprefix(f"{order.source.path}: ") for text in notes]
     except Exception as error:  # one video out of hundreds must not end the night's work
         what = " ".join(f"{type(error).__name__}: {error}".split())
         refused = f"failed unexpectedly ({what}); please report it"

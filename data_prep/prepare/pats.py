@@ -20,6 +20,7 @@ from data_prep.prepare.source import (
     plain,
     videos_in,
 )
+from data_prep.table import number, read_table
 
 MISSING = "pats_missing.csv"
 MISSING_COLUMNS = (
@@ -34,7 +35,9 @@ MISSING_COLUMNS = (
 
 _ORDER = [f"interval.{name}" for name in ("speaker", "file", "start", "id")]
 _NEEDED = ("interval_id", "speaker", "start_time", "end_time")
-_TIME = re.compile(r"(?:(?P<days>\d+) days? ?)?.*?(?:(?P<h>\d+):)?(?P<m>\d+):(?P<s>\d+(?:\.\d*)?)$")
+_TIME = re.compile(
+    r"(?:(?P<days>\d+) days? ?)?.*?(?:(?P<h>\d+):)?(?P<m>\d+):(?P<s>\d+(?:[.,]\d*)?)$"
+)
 _VIDEO_ID = re.compile(r"(?:[-_ ]|\[)([\w-]{11})\]?$")
 """The id that download tools put at the end of a name: `Title-ID` or `Title [ID]`."""
 
@@ -77,9 +80,9 @@ def read_time(text: str) -> float:
     text = text.strip()
     match = None if text.startswith("-") else _TIME.fullmatch(text)
     if match is None:
-        return float(text)
+        return number(text)
     hours = int(match["days"] or 0) * 24 + int(match["h"] or 0)
-    return hours * 3600 + int(match["m"]) * 60 + float(match["s"])
+    return hours * 3600 + int(match["m"]) * 60 + number(match["s"])
 
 
 def read_intervals(path: Path, speaker: str | None = None) -> tuple[list[Interval], list[Missing]]:
@@ -95,48 +98,35 @@ def read_intervals(path: Path, speaker: str | None = None) -> tuple[list[Interva
     Raises:
         BadInput: not readable, a column missing, or no row of that speaker.
     """
-    try:
-        with Path(path).open(encoding="utf-8-sig", newline="") as file:
-            table = csv.DictReader(file)
-            lacking = [name for name in _NEEDED if name not in (table.fieldnames or ())]
-            if not {"video_fn", "video_link"} & set(table.fieldnames or ()):
-                lacking.append("video_fn")
-            if lacking:
-                raise BadInput(
-                    f"{path}: has no column {', '.join(lacking)}; give PATS' cmu_intervals_df.csv"
-                )
-            rows = list(table)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise BadInput(f"{path}: cannot be read as a table ({reason})") from error
+    advice = "; give PATS' cmu_intervals_df.csv"
+    rows = read_table(path, _NEEDED, advice, one_of=("video_fn", "video_link"))
     intervals: list[Interval] = []
     bad: list[Missing] = []
     for row in rows:
-        if speaker in (None, (row["speaker"] or "").strip()):
+        if speaker in (None, row["speaker"]):
             interval, fault = _interval(row)
             if fault:
                 bad.append(Missing(interval, fault))
             else:
                 intervals.append(interval)
     if not intervals:
-        known = ", ".join(sorted({(row["speaker"] or "").strip() for row in rows})[:30]) or "none"
+        known = ", ".join(sorted({row["speaker"] for row in rows})[:30]) or "none"
         raise BadInput(f"{path}: no interval of speaker {speaker or 'any'}; there are {known}")
     return intervals, bad
 
 
-def _interval(row: dict[str, str | None]) -> tuple[Interval, str]:
+def _interval(row: dict[str, str]) -> tuple[Interval, str]:
     """A row, and what is wrong with it."""
     start = end = 0.0
     fault = ""
     try:
-        start, end = read_time(row["start_time"] or ""), read_time(row["end_time"] or "")
+        start, end = read_time(row["start_time"]), read_time(row["end_time"])
         if not 0 <= start < end < float("inf"):
             fault = "the interval ends before it starts"
     except ValueError:
         fault = "the times cannot be read"
-    texts = [(row.get(name) or "").strip() for name in ("video_fn", "video_link")]
-    who = (row["speaker"] or "").strip()
-    return Interval((row["interval_id"] or "").strip(), who, start, end, *texts), fault
+    texts = [row.get(name, "") for name in ("video_fn", "video_link")]
+    return Interval(row["interval_id"], row["speaker"], start, end, *texts), fault
 
 
 def pats_sources(
@@ -217,8 +207,8 @@ def write_missing(path: Path, missing: Sequence[Missing]) -> None:
 
 def read_missing(path: Path) -> list[Missing]:
     """Read what `write_missing` wrote."""
-    with Path(path).open(encoding="utf-8", newline="") as file:
-        return [Missing(_interval(row)[0], row["reason"] or "") for row in csv.DictReader(file)]
+    rows = read_table(path, MISSING_COLUMNS)
+    return [Missing(_interval(row)[0], row["reason"]) for row in rows]
 
 
 def _stem(name: str) -> str:

@@ -190,6 +190,13 @@ class Outcome:
     refused: str | None = None
 
 
+MIN_FRAMES = 97
+"""A clip with fewer frames gives no window of 96 frame-to-frame differences."""
+
+MIN_DRAWN = 2
+"""Frames of the shortest clip that a renderer can be trained on: it takes pairs."""
+
+
 @dataclass(frozen=True)
 class IngestionConfig:
     """How videos become clips; part of what a finished source is recognised by.
@@ -199,7 +206,8 @@ class IngestionConfig:
         person: "left", "right" or "largest" where several people are in the picture; None
             refuses such spans.
         stabilize: undo a moving camera; otherwise spans in which it moves are dropped.
-        silent_ok: keep videos without sound, for training the renderer only.
+        silent_ok: keep videos without sound and clips too short for motion, for training the
+            renderer only.
         shortest: seconds of the shortest clip that is planned.
         longest: seconds of the longest clip.
     """
@@ -210,3 +218,13 @@ class IngestionConfig:
     silent_ok: bool = False
     shortest: float = 4.0
     longest: float = 14.0
+
+    @property
+    def fewest(self) -> int:
+        """Frames of the shortest clip that is kept."""
+        return MIN_DRAWN if self.silent_ok else MIN_FRAMES
+
+    @property
+    def too_short(self) -> str:
+        """Why a part of a video with fewer frames is dropped."""
+        return f"shorter than {self.fewest} frames"

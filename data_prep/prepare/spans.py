@@ -14,10 +14,6 @@ from data_prep.speaker.crop import Crop, check_crop, choose_person, part_outside
 from data_prep.speaker.faces import Face, median_face
 from data_prep.speaker.tracking import Sighting, Track, link, presence
 
-MIN_FRAMES = 97
-"""A clip with fewer frames gives no window of 96 frame-to-frame differences."""
-
-TOO_SHORT = f"shorter than {MIN_FRAMES} frames"
 FADE = "a fade or flash"
 CAMERA = "camera moves"
 TWO_PEOPLE = "two people"
@@ -88,8 +84,8 @@ def _judge_shot(
         yield Take(Span(shot.first, shot.stop, FADE), view)
         return
     for first, stop, reference in _steady_parts(analysis, shot, config):
-        if stop - first < MIN_FRAMES:
-            yield Take(Span(first, stop, TOO_SHORT), view)
+        if stop - first < config.fewest:
+            yield Take(Span(first, stop, config.too_short), view)
         elif reference == -1:
             yield Take(Span(first, stop, CAMERA), view)
         else:
@@ -190,7 +186,10 @@ def _judge_people(
             for frame, face in track.seen
             if span.first <= frame < span.stop
         )
-        yield _judge_speaker(span, view, faces, reference)
+        if b - a < config.fewest:
+            yield Take(replace(span, reason=config.too_short), view, faces)
+        else:
+            yield _judge_speaker(span, view, faces, reference)
 
 
 _NOBODY = {-1: NO_PERSON, -2: TWO_PEOPLE}
@@ -235,8 +234,6 @@ def _chain(tracks: Sequence[Track], number: int) -> list[Track]:
 def _judge_speaker(
     span: Span, view: View, faces: tuple[tuple[int, Face], ...], reference: int | None
 ) -> Take:
-    if span.stop - span.first < MIN_FRAMES:
-        return Take(replace(span, reason=TOO_SHORT), view, faces)
     if not faces:
         return Take(replace(span, reason=NO_PERSON), view)
     face = median_face([face for _, face in faces])

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from data_prep.dataset import Clip
-from data_prep.prepare.spans import MIN_FRAMES
+from data_prep.prepare.source import MIN_FRAMES
 from data_prep.rates import FPS
 
 TEST_SHARE = 0.1
@@ -173,9 +173,10 @@ def _apart(part: list[Clip], following: Clip) -> tuple[list[Clip], int]:
     *first, last = part
     gap = round((following.start - last.start) * FPS) - last.n_frames
     missing = max(GAP - gap, 0)
-    if last.n_frames - missing < MIN_FRAMES:
+    least = min(MIN_FRAMES, last.n_frames)
+    if last.n_frames - missing < least:
         if first:
             return first, gap + last.n_frames
-        missing = last.n_frames - MIN_FRAMES  # all there is: as far apart as can be
+        missing = last.n_frames - least  # all there is: as far apart as can be
     kept = replace(last, n_frames=last.n_frames - missing)
     return [*first, kept], gap + missing

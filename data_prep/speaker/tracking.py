@@ -156,7 +156,8 @@ def _follows(earlier: Face, later: Face) -> bool:
 def link(sightings: Sequence[Sighting]) -> list[Track]:
     """Persons: faces that stay where they are, or move less than a face between two looks.
 
-    What is seen less than three times, or in less than a third of the looks at it, is none.
+    What is seen less than three times (if it is looked at so often), or in less than a third of
+    the looks at it, is none.
 
     Args:
         sightings: of one shot, in order of time.
@@ -173,11 +174,12 @@ def link(sightings: Sequence[Sighting]) -> list[Track]:
                 nearest = Track()
                 tracks.append(nearest)
             nearest.seen.append((sighting.frame, face))
+    fewest = min(_FEWEST, len(sightings))  # a short shot is looked at once
     looks = np.array([sighting.frame for sighting in sightings])
 
     def is_person(track: Track) -> bool:
         chances = ((looks >= track.first) & (looks <= track.last)).sum()
-        return len(track.seen) >= _FEWEST and len(track.seen) >= _SHARE * chances
+        return len(track.seen) >= fewest and len(track.seen) >= _SHARE * chances
 
     return [track for track in tracks if is_person(track)]
 

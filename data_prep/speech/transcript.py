@@ -29,6 +29,7 @@ from data_prep.speech.words import (
     spoken,
     spread,
 )
+from data_prep.table import decode_text
 
 HOP = SAMPLE_RATE // 100
 """Samples of one step of the voice detector, 10 ms."""
@@ -208,7 +209,7 @@ def read_transcript(path: Path) -> Transcript:
     """
     path = Path(path)
     try:
-        transcript = _parse(_decode(path.read_bytes()), path.suffix.lower())
+        transcript = _parse(decode_text(path.read_bytes()), path.suffix.lower())
         lost = [w.word for w in transcript.words if not math.isfinite(w.start + w.end)]
         if lost:
             raise ValueError(f"no time for {lost[0][:40]!r}")
@@ -219,15 +220,6 @@ def read_transcript(path: Path) -> Transcript:
     if not transcript.words and not transcript.text:
         raise BadInput(f"{path}: holds no words; correct or remove it")
     return transcript
-
-
-def _decode(data: bytes) -> str:
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return data.decode("utf-16")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("cp1252", errors="strict")
 
 
 def _parse(text: str, suffix: str) -> Transcript:

@@ -12,11 +12,11 @@ from typing import Any, Protocol
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from data_prep.errors import BadInput
 from data_prep.files import whole_file
+from data_prep.tensors import save_tensors
 
 FORMAT = "2"
 """Several named models and optimisers; before, a file held one of each."""
@@ -89,7 +89,7 @@ def save_checkpoint(
     if scaler is not None:
         notes["scaler"] = json.dumps(scaler.state_dict())
     with whole_file(path, force=True) as part:
-        save_file({k: v.contiguous().cpu() for k, v in _copy(tensors).items()}, part, notes)
+        save_tensors(part, {k: v.contiguous().cpu() for k, v in _copy(tensors).items()}, notes)
 
 
 class Checkpoint:

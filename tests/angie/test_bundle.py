@@ -160,6 +160,16 @@ def test_resume_keeps_finished_stages(dataset, bundle, capsys):
     assert capsys.readouterr().err.count("done before") == 5
 
 
+def test_settings_of_a_training_that_is_over_are_not_written_down(dataset, bundle):
+    before = (bundle.folder / "bundle.json").read_bytes()
+    for section, part in (("train_vq", "angie.vq"), ("train_renderer", "renderer")):
+        changes = {section: {"rate": 0.5}} if section == "train_renderer" else {}
+        changes = changes or {section: {"schedule": {"rate": 0.5}}}
+        with pytest.raises(BadInput, match=f"{part} is trained already, with {section}"):
+            train(dataset.path, bundle.folder, changes=changes, resume=True)
+    assert (bundle.folder / "bundle.json").read_bytes() == before
+
+
 def test_the_disentanglement_network_is_an_extra_part(dataset, bundle, tmp_path):
     folder = tmp_path / "bundle"
     shutil.copytree(bundle.folder, folder)

@@ -85,6 +85,18 @@ def test_colours_are_bt709_and_come_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(read[16, 16::32].astype(int), colours, atol=4)
 
 
+@pytest.mark.parametrize(
+    "name", ["12:30 talk.mp4", "http:x.mp4", "50%d.mp4", "a#b?c.mp4", "-a.mp4"]
+)
+def test_any_name_can_be_written_and_read(tmp_path: Path, monkeypatch, name: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    with VideoWriter(Path(name), (32, 32), sound=(noise(0.2, 16000), 16000)) as writer:
+        for _ in range(5):
+            writer.write(np.zeros((32, 32, 3), np.uint8))
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert len(list(read_frames(Path(name)))) == 5 and len(read_sound(Path(name))) >= 3200
+
+
 def test_writer_refuses_wrong_frames_and_sizes(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="even"):
         VideoWriter(tmp_path / "a.mp4", (63, 64))

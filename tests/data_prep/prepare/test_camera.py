@@ -38,6 +38,36 @@ def test_a_moving_person_is_no_moving_camera() -> None:
     assert path.travel(0, 60) < 0.003
 
 
+def close_up(person: float, wall: np.ndarray, camera: float = 0.0) -> np.ndarray:
+    """A head and shoulders that fill the picture, moved by pixels, before a wall."""
+    shift = np.array([[1, 0, camera], [0, 1, 0.0]])
+    picture = cv2.warpAffine(wall, shift, (320, 180), borderMode=cv2.BORDER_REFLECT)
+    body = cv2.warpAffine(
+        room(1), np.array([[1, 0, person + camera], [0, 1, 0.0]]), (320, 180), borderMode=2
+    )
+    mask = np.zeros((180, 320), np.uint8)
+    middle = round(160 + person + camera)
+    cv2.ellipse(mask, (middle, 80), (50, 65), 0, 0, 360, 1, -1)
+    cv2.ellipse(mask, (middle, 200), (190, 75), 0, 0, 360, 1, -1)
+    return np.where(mask, body, picture)
+
+
+def test_a_close_up_before_a_plain_wall_says_nothing_of_the_camera() -> None:
+    def path(wall: np.ndarray, camera: float) -> CameraPath:
+        tracker = CameraTracker()
+        for k in range(60):
+            way = 12 * np.sin(k / 6)
+            place = 160 + way + camera * k
+            tracker.add(close_up(way, wall, camera * k), [Face(place - 45, 35, 90, 90)])
+        return tracker.path()
+
+    plain = np.full((180, 320), 150, np.uint8)
+    assert not path(plain, 0.0).moving(0, 60).any()
+    # Before a wall that shows something, both are told apart.
+    assert not path(room(), 0.0).moving(0, 60).any()
+    assert path(room(), 0.5).moving(0, 60).all()
+
+
 def test_a_pan_is_seen_where_it_is() -> None:
     shift = np.concatenate([np.zeros(60), np.arange(50) * 0.5, np.full(60, 24.5)])
     moving = follow([view(1, x, 0) for x in shift], hand=True).moving(0, 170)

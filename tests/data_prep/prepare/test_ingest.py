@@ -145,6 +145,16 @@ def test_silence_is_no_sound(tmp_path: Path) -> None:
     assert len(kept.clips) == 1
 
 
+@pytest.mark.parametrize("frames", [2, 12, 96])
+def test_short_clips_are_kept_for_the_renderer_alone(tmp_path: Path, frames: int) -> None:
+    write(tmp_path / "a.mp4", np.arange(frames) / 25, [0.0], frames / 25)
+    crop = Crop(0, 0, 96)
+    refused = run(tmp_path / "a.mp4", tmp_path / "a", IngestionConfig(crop=crop)).refused
+    assert refused is not None and "shorter than 97 frames" in refused and "--silent-ok" in refused
+    kept = run(tmp_path / "a.mp4", tmp_path / "b", IngestionConfig(crop=crop, silent_ok=True))
+    assert [clip.n_frames for clip in kept.clips] == [frames]
+
+
 def test_a_cut_and_a_still_scene(tmp_path: Path) -> None:
     path = tmp_path / "a.mkv"
     with av.open(str(path), "w") as container:
