@@ -16,6 +16,7 @@ from data_prep.media.video import VideoInfo, probe
 from data_prep.prepare.square import Square, find_square, given_square
 from data_prep.rates import FPS
 from data_prep.speaker.crop import PEOPLE, Crop
+from data_prep.speaker.networks import face_detector
 from mraa.avd import MODES, Transfer
 from mraa.draw import draw
 from mraa.extract import estimate
@@ -69,7 +70,7 @@ def drive(
     info = probe(video)
     subject = pipeline.subject(photo, view)
     avd = bundle.avd().to(pipeline.device) if mode == "avd" else None
-    square = _square(video, info, driving)
+    square = _square(video, info, driving, view.models)
     renderer = pipeline.renderer
     with torch.no_grad():
         estimated = renderer.estimator(subject.picture)
@@ -103,10 +104,11 @@ def drive(
     )
 
 
-def _square(path: Path, info: VideoInfo, driving: Driving) -> Square:
+def _square(path: Path, info: VideoInfo, driving: Driving, models: Path | None) -> Square:
     if driving.crop is not None:
         return given_square(path, info, driving.crop, "--drive-crop")
-    return find_square(path, info, driving.person, "--drive-crop")
+    detector = face_detector(models)
+    return find_square(path, info, driving.person, "--drive-crop", detector)
 
 
 def _notes(square: Square) -> Iterator[str]:

@@ -16,6 +16,7 @@ from data_prep.errors import BadInput, check_choice
 from data_prep.media.photo import photo_pixels, read_photo
 from data_prep.rates import IMAGE_SIZE
 from data_prep.speaker.crop import Crop, check_crop, choose_person, find_people, speaker_crop
+from data_prep.speaker.networks import face_detector
 
 if TYPE_CHECKING:
     from mraa.fast.fullsize import FullSize
@@ -83,6 +84,8 @@ class View:
         size: "256", "512", "1024" or "photo": pixels of the video's side, 256 where None; above
             256 the photo's own pixels are moved.
         full_frame: the video shows the whole photo, in its own pixels.
+        models: folder of networks that see people (`data_prep.speaker.networks`), whose one for
+            faces is used; None finds them by OpenCV's cascades alone.
         track_axes: follow the axes of regions from frame to frame, see `mraa.affine.track_axes`;
             not in MRAA.
     """
@@ -91,6 +94,7 @@ class View:
     person: str | None = None
     size: str | None = None
     full_frame: bool = False
+    models: Path | None = None
     track_axes: bool = False
 
     def __post_init__(self) -> None:
@@ -109,7 +113,7 @@ def frame_photo(photo: Photo, view: View) -> tuple[Framing, Crop]:
         path, pixels = Path("photo"), photo_pixels(photo)
     crop = view.crop
     if crop is None:
-        crop = photo_crop(path, pixels, view.person)
+        crop = photo_crop(path, pixels, view.person, models=view.models)
     check_crop(crop, *pixels.shape[:2])
     return framing(pixels, crop, view.size, view.full_frame), crop
 
@@ -171,13 +175,18 @@ def _whole(photo: NDArray[np.uint8], crop: Crop) -> Framing:
     return Framing(even, crop, crop.size, whole=True, note=note)
 
 
-def find_crop(path: Path, person: str | None = None) -> Crop:
+def find_crop(path: Path, person: str | None = None, models: Path | None = None) -> Crop:
     """The square of a photo's file; as `photo_crop`."""
-    return photo_crop(path, read_photo(path), person)
+    return photo_crop(path, read_photo(path), person, models=models)
 
 
 def photo_crop(
-    path: Path, photo: np.ndarray, person: str | None = None, *, with_crop: bool = True
+    path: Path,
+    photo: np.ndarray,
+    person: str | None = None,
+    *,
+    with_crop: bool = True,
+    models: Path | None = None,
 ) -> Crop:
     """The square around the speaker's upper body, by the rule of the training data.
 
@@ -187,11 +196,12 @@ def photo_crop(
         person: "left", "right" or "largest" of several people; None refuses them.
         with_crop: whether the messages advise to give the square with --crop; for commands that
             have no such option they do not.
+        models: folder with the network that finds faces, None for the cascades alone.
 
     Raises:
         BadInput: no face is found, or several people and none is chosen.
     """
-    people = find_people(photo)
+    people = find_people(photo, face_detector(models))
     if not people:
         advice = "give the square yourself with --crop x,y,size"
         advice = advice if with_crop else "take a photo that shows one"

@@ -1,6 +1,6 @@
 """Minutes of video prepared per minute, beside plain decoding of the same file.
 
-python scripts/bench_prepare.py [VIDEO...] [--minutes 1] [--jobs 2] [--rounds 3]
+python scripts/bench_prepare.py [VIDEO...] [--minutes 1] [--jobs 2] [--rounds 3] [--models MODELS]
 
 Without a video a phantom of the given length is written to a temporary folder first, one file a
 process. Both are measured in turns, each round decoding once and preparing once, so that other
@@ -8,6 +8,7 @@ work on the machine weighs on both alike; the ratio is of the medians.
 """
 
 import argparse
+import functools
 import statistics
 import tempfile
 import time
@@ -35,14 +36,14 @@ def decode(path: Path) -> None:
                     pass
 
 
-def prepare(path: Path) -> None:
+def prepare(path: Path, models: Path | None = None) -> None:
     """The whole way to clips."""
     cv2.setNumThreads(1)
     with tempfile.TemporaryDirectory() as folder:
         for name in FOLDERS:
             (Path(folder) / name).mkdir()
         config = IngestionConfig(silent_ok=True)
-        outcome = ingest(Source(path, "bench", path.stem), Path(folder), config)
+        outcome = ingest(Source(path, "bench", path.stem), Path(folder), config, models=models)
     if outcome.refused is not None:
         raise SystemExit(f"{path}: {outcome.refused}; give another video")
 
@@ -56,6 +57,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--models", type=Path, help="folder with BlazeFace")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         videos = options.videos
@@ -68,11 +70,12 @@ def main() -> None:
                 jobs=options.jobs,
             )
         minutes = sum(probe(path).duration for path in videos) / 60
-        measured: dict[str, list[float]] = {"decode": [], "prepare": []}
+        works = {"decode": decode, "prepare": functools.partial(prepare, models=options.models)}
+        measured: dict[str, list[float]] = {name: [] for name in works}
         with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
             list(pool.map(probe, videos))  # the processes start and import before the clock does
             for _ in range(options.rounds):
-                for name, work in (("decode", decode), ("prepare", prepare)):
+                for name, work in works.items():
                     begin = time.perf_counter()
                     list(pool.map(work, videos))
                     measured[name].append(time.perf_counter() - begin)

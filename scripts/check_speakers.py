@@ -1,6 +1,7 @@
 """Tell, for every photo and video of a folder, what the search for the speaker says.
 
-python scripts/check_speakers.py FOLDER [--manifest MANIFEST.json] [--sheet SHEET.png]
+python scripts/check_speakers.py FOLDER [--models MODELS] [--manifest MANIFEST.json]
+    [--sheet SHEET.png]
 
 With a manifest (a list of {"file", "kind", "people"}) each verdict is compared with the number of
 people that is stated: 0, 1 or more; entries without "people" are shown only.
@@ -8,6 +9,7 @@ people that is stated: 0, 1 or more; entries without "people" are shown only.
 
 import argparse
 import json
+import time
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +24,8 @@ from data_prep.prepare.analysis import analyse
 from data_prep.prepare.source import EXTENSIONS, IngestionConfig
 from data_prep.prepare.spans import find_takes
 from data_prep.speaker.crop import speaker_crop
-from data_prep.speaker.faces import Face, find_people
+from data_prep.speaker.faces import Detector, Face, find_people
+from data_prep.speaker.networks import face_detector
 
 PHOTOS = frozenset(".jpg .jpeg .png .webp .bmp .gif .tif .tiff".split())
 TILE = 300
@@ -51,19 +54,21 @@ def boxed(picture: np.ndarray, faces: list[Face]) -> np.ndarray:
     return drawn
 
 
-def look_at_photo(path: Path) -> Verdict:
+def look_at_photo(path: Path, detector: Detector | None) -> Verdict:
     """As `angie animate` would."""
     photo = read_photo(path)
-    faces = find_people(photo)
+    begin = time.perf_counter()
+    faces = find_people(photo, detector)
+    spent = 1000 * (time.perf_counter() - begin)
     heights = ", ".join(f"{face.h:.0f}" for face in faces[:4])
-    text = f"{len(faces)} of height {heights}" if faces else "no face"
+    text = f"{spent:.0f} ms: " + (f"{len(faces)} of height {heights}" if faces else "no face")
     return Verdict(boxed(photo, faces), len(faces), text)
 
 
-def look_at_video(path: Path) -> Verdict:
+def look_at_video(path: Path, detector: Detector | None) -> Verdict:
     """As `angie prepare` would, whatever its sound."""
     info = probe(path)
-    analysis = analyse(path, info)
+    analysis = analyse(path, info, detector=detector)
     takes = find_takes(analysis, info, IngestionConfig(), analysis.frames)
     seconds: Counter[str] = Counter()
     for take in takes:
@@ -100,6 +105,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--manifest", type=Path)
     parser.add_argument("--sheet", type=Path)
+    parser.add_argument("--models", type=Path, help="folder with BlazeFace")
     options = parser.parse_args()
     expected: dict[str, int] = {}
     if options.manifest is not None:
@@ -107,13 +113,14 @@ def main() -> None:
             if "people" in entry:
                 expected[Path(entry["file"]).name] = int(entry["people"])
     tiles: list[np.ndarray] = []
+    detector = face_detector(options.models)
     right = wrong = 0
     for path in sorted(options.folder.rglob("*")):
         suffix = path.suffix.lower()
         if suffix not in PHOTOS | EXTENSIONS or not path.is_file():
             continue
         try:
-            verdict = (look_at_photo if suffix in PHOTOS else look_at_video)(path)
+            verdict = (look_at_photo if suffix in PHOTOS else look_at_video)(path, detector)
         except BadInput as error:
             print(f"{path.name:36} refused: {str(error).removeprefix(f'{path}: ')}")
             continue

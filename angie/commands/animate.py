@@ -20,6 +20,7 @@ from angie.commands.options import (
     Greedy,
     ImageSeconds,
     ImageStride,
+    Models,
     NoImages,
     Person,
     Precision,
@@ -83,6 +84,7 @@ def animate(
     drive_person: Annotated[
         str | None, typer.Option(help="Which of several people in it: left, right or largest.")
     ] = None,
+    models: Models = None,
     track_axes: Annotated[
         bool, typer.Option("--track-axes", help="Follow the regions' axes over time; not in MRAA.")
     ] = False,
@@ -103,9 +105,10 @@ def animate(
     given = None if crop is None else square_of(crop)
     usual = generator in (None, DEFAULT) and words is None
     heard = begin(_heard, audio) if usual and audio is not None and drive is None else None
-    square = _found(photo, person) if given is None else lambda: given
+    square = _found(photo, person, models) if given is None else lambda: given
     look: dict[str, Any] = {
-        "person": person, "size": size, "full_frame": full_frame, "track_axes": track_axes,
+        "person": person, "models": models, "size": size, "full_frame": full_frame,
+        "track_axes": track_axes,
     }  # fmt: skip
     inputs = [path for path in (photo, audio, drive, words) if path is not None]
     check_apart(output, inputs)
@@ -180,12 +183,12 @@ def _noted(speech: "Speech", notes: list[str]) -> "Speech":
     return speech
 
 
-def _found(photo: Path, person: str | None) -> Callable[[], "Crop | None"]:
+def _found(photo: Path, person: str | None, models: Path | None) -> Callable[[], "Crop | None"]:
     """Look for the person while the networks' libraries are imported; call it for the square."""
     from angie.source import find_crop
 
     with_libraries = ThreadPoolExecutor(1)
-    found = with_libraries.submit(find_crop, photo, person)
+    found = with_libraries.submit(find_crop, photo, person, models)
     with_libraries.shutdown(wait=False)
     return found.result
 

@@ -73,6 +73,10 @@ Fgd = Annotated[
     Path | None, typer.Option(help="Autoencoder of an earlier report, to compare with it.")
 ]
 FgdSteps = Annotated[int, typer.Option(min=1, help="Maximum training steps of FGD's autoencoder.")]
+Models = Annotated[
+    Path | None,
+    typer.Option(help="Folder of MediaPipe's networks; the one for faces finds them faster."),
+]
 Jobs = Annotated[int, typer.Option(min=0, help="Number of processes; 0 for one per core.")]
 
 

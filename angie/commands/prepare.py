@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from angie import __version__
-from angie.commands.options import Force, Jobs, Seed, cores, square_of
+from angie.commands.options import Force, Jobs, Models, Seed, cores, square_of
 from data_prep.errors import BadInput, check_choice
 
 
@@ -77,6 +77,7 @@ def prepare(
     folder: Annotated[
         list[Path] | None, typer.Option("--videos", help="Folder with the videos of --pats.")
     ] = None,
+    models: Models = None,
     jobs: Jobs = 0,
     add: Annotated[
         bool, typer.Option("--add", help="Add other videos to the existing dataset.")
@@ -114,6 +115,7 @@ def prepare(
             speaker=speaker,
             jobs=jobs or cores(),
             config=config,
+            models=models,
             pats=pats,
             add=add,
             force=force,

@@ -12,6 +12,7 @@ import numpy as np
 from data_prep.media.video import VideoInfo, read_grey
 from data_prep.prepare.camera import CameraPath, CameraTracker
 from data_prep.prepare.shots import Shot, ShotDetector
+from data_prep.speaker.faces import Detector
 from data_prep.speaker.tracking import FaceFollower, Sighting
 
 _SIDE = 480
@@ -204,18 +205,22 @@ class Analysis:
         return self.bars.view(shot.first, shot.stop, info.width, info.height)
 
 
-def analyse(path: Path, info: VideoInfo, faces: bool = True) -> Analysis:
+def analyse(
+    path: Path, info: VideoInfo, faces: bool = True, detector: Detector | None = None
+) -> Analysis:
     """Go through a video once.
 
     Args:
         path: the video.
         info: as `probe` returns it.
         faces: whether to look for faces.
+        detector: of faces, asked before the cascades.
 
     Raises:
         BadInput: as `read_grey`.
     """
-    shots, camera, follower, bars = ShotDetector(), CameraTracker(), FaceFollower(), BarDetector()
+    shots, camera, bars = ShotDetector(), CameraTracker(), BarDetector()
+    follower = FaceFollower(detector)
     count = 0
     scale = 1.0
     for grey, frames in read_grey(path, LONGEST):

@@ -31,7 +31,8 @@ from data_prep.prepare.source import ClipDetail, IngestionConfig, Outcome, Sourc
 from data_prep.prepare.spans import NO_PERSON, TWO_PEOPLE, Take, find_takes
 from data_prep.prepare.workplace import check_room
 from data_prep.rates import FPS, SAMPLE_RATE, SAMPLES_PER_FRAME, frames_covering
-from data_prep.speaker.crop import Crop, cut_out
+from data_prep.speaker.crop import Crop, Detector, cut_out
+from data_prep.speaker.networks import face_detector
 from data_prep.speech.transcript import read_transcript
 from data_prep.speech.words import Word
 
@@ -55,7 +56,11 @@ class _Plan:
 
 
 def ingest(
-    source: Source, folder: Path, config: IngestionConfig, words: list[Word] | None = None
+    source: Source,
+    folder: Path,
+    config: IngestionConfig,
+    words: list[Word] | None = None,
+    models: Path | None = None,
 ) -> Outcome:
     """Cut a video into clips and write their files into a dataset folder.
 
@@ -68,12 +73,13 @@ def ingest(
         folder: the dataset; the folders for the clips' files exist.
         config: what to keep and how.
         words: of the whole video, with times as the file counts them; None when unknown.
+        models: folder with the network that finds faces, None for the cascades alone.
     """
     outcome = Outcome(source)
     try:
         check_file(source.path)
         outcome.sha256 = sha256(source.path)
-        _ingest(outcome, folder, config, words)
+        _ingest(outcome, folder, config, words, face_detector(models))
     except (BadInput, cv2.error) as error:
         outcome.refused = str(error).removeprefix(f"{source.path}: ")
     if not outcome.clips and outcome.refused is None:
@@ -82,13 +88,17 @@ def ingest(
 
 
 def _ingest(
-    outcome: Outcome, folder: Path, config: IngestionConfig, words: list[Word] | None
+    outcome: Outcome,
+    folder: Path,
+    config: IngestionConfig,
+    words: list[Word] | None,
+    detector: Detector | None,
 ) -> None:
     source = outcome.source
     info = outcome.info = probe(source.path)
     if not info.has_sound and not config.silent_ok:
         raise BadInput(f"has no sound; {_SILENT}")
-    analysis = analyse(source.path, info)
+    analysis = analyse(source.path, info, detector=detector)
     samples = _sound(source, info, analysis, config.silent_ok)
     frames = min(analysis.frames, frames_covering(len(samples)))
     if frames < config.fewest:
@@ -206,6 +216,7 @@ class Order:
         config: how its clips are made.
         transcript: the file beside it, or None.
         folder: where to make it; not there yet.
+        models: folder with the network that finds faces.
     """
 
     source: Source
@@ -214,6 +225,7 @@ class Order:
     config: IngestionConfig
     transcript: Path | None
     folder: Path
+    models: Path | None = None
 
 
 def make_source(order: Order) -> Record:
@@ -241,7 +253,7 @@ def _make(order: Order) -> Record:
     try:
         with collected_notes() as notes:
             words, warnings = _words(order)
-            outcome = ingest(order.source, order.folder, order.config, words)
+            outcome = ingest(order.source, order.folder, order.config, words, order.models)
         warnings += [text.removeprefix(f"{order.source.path}: ") for text in notes]
     except Exception as error:  # one video out of hundreds must not end the night's work
         what = " ".join(f"{type(error).__name__}: {error}".split())

@@ -26,6 +26,7 @@ from data_prep.prepare.summary import Summary
 from data_prep.prepare.workplace import Workplace, check_place, making, workplace
 from data_prep.progress import progress, spread
 from data_prep.rates import FPS, IMAGE_SIZE, SAMPLE_RATE
+from data_prep.speaker.networks import FACE, load_network
 from data_prep.speech.transcript import find_transcript
 
 _MESSAGE_REASONS = 3
@@ -46,6 +47,7 @@ def prepare(
     speaker: str | None = None,
     jobs: int = 1,
     config: IngestionConfig | None = None,
+    models: Path | None = None,
     pats: Path | None = None,
     add: bool = False,
     force: bool = False,
@@ -63,6 +65,8 @@ def prepare(
             the one speaker whose intervals are cut.
         jobs: processes.
         config: how clips are made; None for the defaults.
+        models: folder of networks (`data_prep.speaker.networks`), whose one for faces is used;
+            None finds them by the cascades alone.
         pats: table of intervals of the PATS dataset; only these are cut.
         add: keep what a dataset at `output` holds, and make only what is new or has changed.
         force: replace an existing dataset.
@@ -72,6 +76,9 @@ def prepare(
             would not make (and neither `add` nor `force`), or nothing was kept.
     """
     output, config = Path(output).resolve(), config or IngestionConfig()
+    if models is not None:
+        load_network(models, FACE)
+        config = replace(config, face_network=sha256(models / FACE.file))
     if output.exists():
         check_apart(output, videos)
     check_place(output)
@@ -85,7 +92,7 @@ def prepare(
         sources, absent = pats_sources(intervals, videos)
         missing += absent
     found, doubles = _settle_names(_hash(sources, jobs), present)
-    orders = [_order(entry, config, output) for entry in found]
+    orders = [_order(entry, config, models, output) for entry in found]
     wanted = {name: record.key for name, record in present.items()}
     wanted.update((order.source.name, order.key) for order in orders)
     if dataset is not None and not add:
@@ -188,7 +195,7 @@ def _identity(content: str, source: Source) -> tuple[str, str]:
     return content or source.path.name, source.speaker
 
 
-def _order(found: _Found, config: IngestionConfig, output: Path) -> Order:
+def _order(found: _Found, config: IngestionConfig, models: Path | None, output: Path) -> Order:
     source = found.source
     transcript = find_transcript(source.path)
     identity = ""
@@ -198,7 +205,7 @@ def _order(found: _Found, config: IngestionConfig, output: Path) -> Order:
         except OSError as error:
             identity = f"{transcript.name}: {error.strerror}"
     key = key_of(source, found.sha256, identity, config)
-    return Order(source, found.sha256, key, config, transcript, making(output, source.name))
+    return Order(source, found.sha256, key, config, transcript, making(output, source.name), models)
 
 
 def _splits_before(dataset: Dataset | None) -> dict[str, str]:

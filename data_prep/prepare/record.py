@@ -16,7 +16,7 @@ from data_prep.prepare.clips import FOLDERS
 from data_prep.prepare.source import ClipDetail, IngestionConfig, Outcome, Source, Span
 from data_prep.speaker.crop import Crop, Face
 
-PROCEDURE = 2
+PROCEDURE = 3
 """Version of how videos become clips: raised when the same video comes out otherwise."""
 
 RECORDS = "sources"

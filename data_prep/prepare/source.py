@@ -210,6 +210,7 @@ class IngestionConfig:
             renderer only.
         shortest: seconds of the shortest clip that is planned.
         longest: seconds of the longest clip.
+        face_network: hash of the network that finds faces, "" for the cascades alone.
     """
 
     crop: Crop | None = None
@@ -218,6 +219,7 @@ class IngestionConfig:
     silent_ok: bool = False
     shortest: float = 4.0
     longest: float = 14.0
+    face_network: str = ""
 
     @property
     def fewest(self) -> int:

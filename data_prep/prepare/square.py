@@ -12,7 +12,7 @@ from data_prep.prepare.analysis import Analysis, View, analyse
 from data_prep.prepare.shots import Shot
 from data_prep.rates import FPS, IMAGE_SIZE
 from data_prep.speaker.crop import Crop, check_crop, choose_person, cut_out, speaker_crop
-from data_prep.speaker.faces import Face, median_face
+from data_prep.speaker.faces import Detector, Face, median_face
 from data_prep.speaker.tracking import Sighting, link, presence
 
 _PRESENT = 0.2
@@ -59,7 +59,9 @@ def given_square(path: Path, info: VideoInfo, crop: Crop, option: str) -> Square
     return Square(path, view, crop, round(info.duration * FPS))
 
 
-def find_square(path: Path, info: VideoInfo, person: str | None, option: str) -> Square:
+def find_square(
+    path: Path, info: VideoInfo, person: str | None, option: str, detector: Detector | None = None
+) -> Square:
     """The square around the speaker of a video, by the rule of the training data.
 
     The longest shot decides; the median of the speaker's face there gives the square.
@@ -69,11 +71,12 @@ def find_square(path: Path, info: VideoInfo, person: str | None, option: str) ->
         info: as `probe` returns it.
         person: "left", "right" or "largest" of several people; None refuses them.
         option: of the command that names a square, for messages.
+        detector: of faces, asked before the cascades.
 
     Raises:
         BadInput: nobody is seen, or several people and none is chosen.
     """
-    analysis = analyse(path, info)
+    analysis = analyse(path, info, detector=detector)
     shots = [shot for shot in analysis.shots if not shot.faded] or analysis.shots
     shot = max(shots, key=lambda s: s.stop - s.first)
     view = analysis.view(shot, info)

@@ -8,9 +8,9 @@ import numpy as np
 
 from data_prep.errors import BadInput, check_choice
 from data_prep.rates import IMAGE_SIZE
-from data_prep.speaker.faces import Face, find_faces, find_people, median_face
+from data_prep.speaker.faces import Detector, Face, find_faces, find_people, median_face
 
-__all__ = ["Crop", "Face", "find_faces", "find_people", "median_face"]
+__all__ = ["Crop", "Detector", "Face", "find_faces", "find_people", "median_face"]
 
 SIDE_IN_FACES = 4.2
 """Side of the crop in face heights: head, upper body and the reach of the hands."""

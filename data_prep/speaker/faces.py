@@ -2,7 +2,7 @@
 
 import functools
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -67,6 +67,11 @@ class Face:
         return replace(
             self, x=self.x * factor + x, y=self.y * factor + y, w=self.w * factor, h=self.h * factor
         )
+
+
+Detector = Callable[[np.ndarray], list[Face]]
+"""Finds the faces in a picture `(H, W, 3)` RGB or `(H, W)` grey, uint8: boxes in its pixels,
+largest first. It may miss small ones."""
 
 
 @functools.cache
@@ -146,24 +151,31 @@ def _search(grey: np.ndarray, near: Face | None) -> list[Face]:
 
 
 def find_faces(
-    image: np.ndarray, near: Face | None = None, sides: Sequence[int] = _SEARCH_SIDES
+    image: np.ndarray,
+    near: Face | None = None,
+    sides: Sequence[int] = _SEARCH_SIDES,
+    detector: Detector | None = None,
 ) -> list[Face]:
     """Find the faces in a picture.
 
     Three of OpenCV's Haar cascades for frontal faces vote; what only one of them sees is
-    dropped. Where no frontal face is sure, faces in profile are looked for.
+    dropped. Where no frontal face is sure, faces in profile are looked for. A detector is asked
+    first where it is given, and the cascades look for what is too small for it.
 
     Args:
         image: `(H, W, 3)` uint8 RGB, or `(H, W)` grey.
         near: where the face was a moment ago; only its neighbourhood is searched, fast.
         sides: pixels of the long side at which the whole picture is searched; the next when
             the first finds no frontal face.
+        detector: see `Detector`; None for the cascades alone.
 
     Returns:
         boxes in pixels of `image`, largest first.
     """
     if near is not None:
-        return _find_near(image, near)
+        return _find_near(image, near, detector)
+    if detector is not None and (found := detector(image)):
+        return found
     profiles: list[Face] = []
     for scale in _scales(image, sides):
         faces = _at_scale(image, scale, None)
@@ -173,7 +185,7 @@ def find_faces(
     return profiles
 
 
-def find_people(image: np.ndarray) -> list[Face]:
+def find_people(image: np.ndarray, detector: Detector | None = None) -> list[Face]:
     """Find the faces of everybody who counts in a picture, small ones too; slower.
 
     The picture is searched at several sizes. Faces in profile count only where there is none
@@ -181,10 +193,13 @@ def find_people(image: np.ndarray) -> list[Face]:
 
     Args:
         image: `(H, W, 3)` uint8 RGB, or `(H, W)` grey.
+        detector: asked first; the cascades only look for what is too small for it.
 
     Returns:
         boxes in pixels of `image`, largest first.
     """
+    if detector is not None and (seen := detector(image)):
+        return rivals(seen)
     found: list[Face] = []
     for scale in _scales(image, _PHOTO_SIDES):
         for face in _at_scale(image, scale, None):
@@ -226,13 +241,15 @@ def _scales(image: np.ndarray, sides: Sequence[int]) -> list[float]:
     return sorted(set(scales))
 
 
-def _find_near(image: np.ndarray, near: Face) -> list[Face]:
+def _find_near(image: np.ndarray, near: Face, detector: Detector | None) -> list[Face]:
     height, width = image.shape[:2]
     left, top = max(0, int(near.x - near.w)), max(0, int(near.y - near.h))
     right, bottom = int(near.x + 2 * near.w), int(near.y + 2 * near.h)
     part = image[top : min(bottom, height), left : min(right, width)]
     if min(part.shape[:2], default=0) < _SMALLEST:
         return []
+    if detector is not None:
+        return [face.scaled(1.0, left, top) for face in detector(part)]
     scale = min(1.0, _NEAR_HEIGHT / near.h)
     found = _at_scale(part, scale, Face(0, 0, near.w * scale, near.h * scale))
     return [face.scaled(1.0, left, top) for face in found]

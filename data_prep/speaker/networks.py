@@ -14,7 +14,7 @@ import numpy as np
 
 from data_prep.errors import BadInput
 from data_prep.media.container import check_file
-from data_prep.speaker.faces import Face
+from data_prep.speaker.faces import Detector, Face
 
 
 @dataclass(frozen=True)
@@ -168,6 +168,15 @@ def detect_faces(network: Network, image: np.ndarray) -> list[Face]:
         face = Face(x - w / 2, y - h / 2, w, h, _is_frontal(eyes_and_nose))
         faces.append(face.scaled(longest / side))
     return sorted(faces, key=lambda face: -face.h)
+
+
+def face_detector(folder: Path | None) -> Detector | None:
+    """The detector of a folder of networks, or None without one.
+
+    Raises:
+        BadInput: as `load_network`.
+    """
+    return None if folder is None else functools.partial(detect_faces, load_network(folder, FACE))
 
 
 def _groups(centres: np.ndarray, sizes: np.ndarray, scores: np.ndarray) -> list[np.ndarray]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from data_prep.speaker.faces import Face, find_faces, median_face, rivals
+from data_prep.speaker.faces import Detector, Face, find_faces, median_face, rivals
 
 NEAR_STEP = 10
 """Frames after which known faces are looked for where they were."""
@@ -51,12 +51,16 @@ class Sighting:
 class FaceFollower:
     """Looks for faces as the pictures go by: seldom everywhere, often where there were some.
 
+    Args:
+        detector: of faces, asked before the cascades.
+
     Attributes:
         sightings: what was found, of every picture that was looked at.
         places: where faces are, or were when they were last found in this scene.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, detector: Detector | None = None) -> None:
+        self._detector = detector
         self.sightings: list[Sighting] = []
         self.places: list[Face] = []
         self._known: list[tuple[Face, int]] = []
@@ -89,7 +93,7 @@ class FaceFollower:
         self.places = [face for face, _ in self._known] or self.places
 
     def _look_everywhere(self, grey: np.ndarray, frame: int) -> None:
-        found = find_faces(grey, sides=_SIDES)
+        found = find_faces(grey, sides=_SIDES, detector=self._detector)
         self.sightings.append(Sighting(frame, tuple(found)))
         if found:
             self._known = [(face, _PATIENCE) for face in rivals(found)[:_FOLLOWED]]
@@ -106,7 +110,7 @@ class FaceFollower:
         found: list[Face] = []
         known = []
         for face, patience in self._known:
-            near = find_faces(grey, face)
+            near = find_faces(grey, face, detector=self._detector)
             best = min(near, key=lambda other: _apart(face, other), default=None)
             if best is not None:
                 found.append(best)
