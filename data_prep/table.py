@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from data_prep.errors import BadInput
+from data_prep.media.container import check_file
 
 _SEPARATORS = ",;\t|"
 
@@ -42,6 +43,7 @@ def read_table(
     Raises:
         BadInput: not readable, or a column missing.
     """
+    check_file(path)
     try:
         lines = decode_text(Path(path).read_bytes()).splitlines(keepends=True)
         if lines and lines[0].strip().lower() in {f"sep={mark}" for mark in ",;|"} | {"sep="}:

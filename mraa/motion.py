@@ -7,9 +7,6 @@ region) followed by the Cholesky block (3K channels): `[mu ; L]`, 100 numbers fo
 (ANGIE, NeurIPS 2022, section 3.2).
 """
 
-import tokenize
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,14 +15,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from data_prep.arrays import read_arrays
 from data_prep.errors import BadInput
 from mraa.affine import EPSILON, decode_cholesky
-
-UNREADABLE = (
-    OSError, KeyError, TypeError, ValueError, EOFError, SyntaxError,
-    zipfile.BadZipFile, zlib.error, tokenize.TokenError,
-)  # fmt: skip
-"""What reading a file of arrays raises that is damaged, or none."""
 
 FLOOR = 0.3
 CEILING = 1.5
@@ -205,15 +197,15 @@ def read_motion(path: Path, estimator: str | None = None) -> Motion:
     if estimator is None:
         wanted = "wanted is an .npz of regions, with `shift` (T, K, 2) and `cholesky` (T, K, 3)"
     try:
-        loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
+        arrays = read_arrays(path, ("shift", "cholesky", "estimator"))
+        if "" in arrays:
             raise ValueError("a single array")
-        with loaded as file:
-            motion = _checked(file["shift"], file["cholesky"])
-            origin = "" if estimator is None else str(file["estimator"])
-    except UNREADABLE as error:
-        what = "no array file" if "pickle" in str(error) else " ".join(str(error).split())
-        raise BadInput(f"{path}: not a motion file ({what}); {wanted}") from error
+        motion = _checked(arrays["shift"], arrays["cholesky"])
+        origin = "" if estimator is None else str(arrays["estimator"])
+    except KeyError as error:
+        raise BadInput(f"{path}: not a motion file (has no {error}); {wanted}") from error
+    except ValueError as error:
+        raise BadInput(f"{path}: not a motion file ({error}); {wanted}") from error
     if estimator is not None and origin != estimator:
         raise BadInput(
             f"{path}: measured by another region estimator ({origin[:12] or 'unknown'}, "

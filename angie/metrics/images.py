@@ -11,7 +11,6 @@ trained on the evaluated data itself with a triplet loss; its values can be comp
 hash of its weights, and never with published ones.
 """
 
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from angie.metrics.score import Score
+from data_prep.arrays import read_arrays
 from data_prep.errors import BadInput
 
 
@@ -105,10 +105,10 @@ def read_pair(path: Path, name: str) -> tuple[NDArray, NDArray] | None:
     """
     names = [f"{side}_{name}" for side in ("real", "made")]
     try:
-        with np.load(path, allow_pickle=False) as file:
-            found = [file[key] for key in names if key in file.files]
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        arrays = read_arrays(path, names)
+    except ValueError as error:
         raise BadInput(f"{path}: is not a readable .npz file ({error})") from error
+    found = [arrays[name] for name in names if name in arrays]
     if not found:
         return None
     if len(found) == 1:

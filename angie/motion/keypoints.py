@@ -25,6 +25,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from angie.motion.clips import MotionClip
+from data_prep.arrays import read_arrays
 from data_prep.errors import BadInput
 from data_prep.files import whole_file
 from data_prep.media.audio import read_sound
@@ -32,7 +33,7 @@ from data_prep.rates import FPS
 from data_prep.speech.features import FeatureFiles, Speech, write_features
 from data_prep.speech.transcript import find_transcript, read_transcript
 from data_prep.table import number, read_table
-from mraa.motion import UNREADABLE, Motion
+from mraa.motion import Motion
 
 INDEX = "clips.csv"
 COLUMNS = ("clip", "speaker", "split", "fps")
@@ -98,14 +99,10 @@ def _arrays(path: Path) -> dict[str, NDArray]:
         BadInput: unreadable.
     """
     try:
-        loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            return {"points": loaded}
-        with loaded as file:
-            return {name: file[name] for name in ("points", "fps") if name in file.files}
-    except UNREADABLE as error:
-        what = "no array file" if "pickle" in str(error) else " ".join(str(error).split())
-        raise BadInput(f"{path}: not a readable array ({what})") from error
+        arrays = read_arrays(path, ("points", "fps"))
+    except ValueError as error:
+        raise BadInput(f"{path}: not a readable array ({error})") from error
+    return {"points": arrays[""]} if "" in arrays else arrays
 
 
 def read_points(path: Path) -> NDArray:

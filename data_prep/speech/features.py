@@ -4,7 +4,6 @@ The files in which a dataset keeps features.
 """
 
 import os
-import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,6 +12,7 @@ import numpy as np
 import soxr
 from numpy.typing import NDArray
 
+from data_prep.arrays import read_arrays
 from data_prep.errors import BadInput
 from data_prep.rates import FPS, SAMPLE_RATE, frames_covering, tokens_covering
 from data_prep.speech.spectra import (
@@ -239,9 +239,10 @@ class FeatureFiles:
 
 def _read_arrays(path: Path, names: Iterable[str]) -> list[NDArray]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return [file[name] for name in names]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        names = list(names)
+        arrays = read_arrays(path, names)
+        return [arrays[name] for name in names]
+    except (ValueError, KeyError) as error:
         raise BadInput(f"{path}: damaged or missing; prepare the dataset again") from error
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import binary_closing
 
 from data_prep.errors import BadInput
-from data_prep.media.container import describe
+from data_prep.media.container import check_file, describe
 from data_prep.rates import SAMPLE_RATE
 from data_prep.speech.words import (
     Cue,
@@ -208,6 +208,7 @@ def read_transcript(path: Path) -> Transcript:
         BadInput: not readable, not of that format, or without a word.
     """
     path = Path(path)
+    check_file(path)
     try:
         transcript = _parse(decode_text(path.read_bytes()), path.suffix.lower())
         lost = [w.word for w in transcript.words if not math.isfinite(w.start + w.end)]

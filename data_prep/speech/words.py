@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from data_prep.errors import BadInput
+from data_prep.media.container import check_file
 
 
 @dataclass(frozen=True)
@@ -37,10 +38,11 @@ def read_words(path: Path) -> list[Word]:
     Raises:
         BadInput: not such a file.
     """
+    check_file(path)
     try:
-        entries = json.loads(Path(path).read_text(encoding="utf-8"))
+        entries = json.loads(Path(path).read_bytes())
         words = [Word(str(e["word"]), float(e["start"]), float(e["end"])) for e in entries]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise BadInput(
             f'{path}: is no list of {{"word", "start", "end"}}; correct or remove it'
         ) from error

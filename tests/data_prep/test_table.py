@@ -36,7 +36,7 @@ def test_what_is_missing_is_named(tmp_path):
         (tmp_path / "a.csv").write_bytes(content)
         with pytest.raises(BadInput):
             read_table(tmp_path / "a.csv", ("clip",))
-    with pytest.raises(BadInput, match="No such file"):
+    with pytest.raises(BadInput, match="no such file"):
         read_table(tmp_path / "none.csv", ("clip",))
 
 

@@ -114,7 +114,7 @@ def test_generated_regions_are_read_where_any_estimator_will_do(tmp_path):
 @pytest.mark.parametrize(
     ("arrays", "words"),
     [
-        ({"points": np.zeros((5, 3, 2))}, "shift is not a file"),
+        ({"points": np.zeros((5, 3, 2))}, "has no 'shift'"),
         ({"shift": np.zeros((5, 3, 2)), "cholesky": np.zeros((5, 2, 3))}, r"\(5, 2, 3\)"),
         ({"shift": np.full((5, 3, 2), 1e300), "cholesky": np.ones((5, 3, 3))}, "not finite"),
         ({"shift": np.zeros((5, 3, 2)), "cholesky": np.full((5, 3, 3), -1)}, "not above 0"),

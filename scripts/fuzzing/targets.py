@@ -1,0 +1,277 @@
+"""Every file that the program reads: how a small one is made, and what reads it."""
+
+import hashlib
+import itertools
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import soundfile
+from PIL import Image
+
+from data_prep.dataset import COLUMNS, Dataset, encode_frame, write_frames
+from data_prep.media.audio import read_sound, write_wav
+from data_prep.media.photo import read_photo
+from data_prep.media.video import probe, read_frames, read_grey
+from data_prep.media.writer import VideoWriter
+from data_prep.prepare.pats import read_intervals
+from data_prep.prepare.record import read_records
+from data_prep.speech.features import Speech, write_features
+from data_prep.speech.transcript import read_transcript
+from data_prep.speech.words import Word, read_words, write_words
+
+FRAMES = 2000
+"""Frames that are read of a video at most; a file may declare that one is shown for an hour."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """A kind of input.
+
+    Attributes:
+        make: writes a small whole one into a folder, and returns the files that can be spoilt.
+        read: reads what lies in that folder, as the program does.
+        light: whether it needs neither networks nor their libraries.
+    """
+
+    make: Callable[[Path], list[Path]]
+    read: Callable[[Path], object]
+    light: bool = True
+
+
+def _picture() -> np.ndarray:
+    x, y = np.meshgrid(np.arange(64), np.arange(48))
+    return np.stack([x * 4, y * 5, (x + y) * 2], axis=2).astype(np.uint8)
+
+
+def _sound(seconds: float = 0.5, rate: int = 16000) -> np.ndarray:
+    t = np.arange(round(seconds * rate)) / rate
+    return (0.3 * np.sin(2 * np.pi * 300 * t)).astype(np.float32)
+
+
+def _photo(name: str, **options: object) -> Target:
+    def make(folder: Path) -> list[Path]:
+        image = Image.fromarray(_picture())
+        if name.endswith(".gif"):
+            image = image.quantize(16)
+        image.save(folder / name, **options)
+        return [folder / name]
+
+    return Target(make, lambda folder: read_photo(folder / name))
+
+
+def _recording(name: str, **options: str) -> Target:
+    def make(folder: Path) -> list[Path]:
+        soundfile.write(folder / name, _sound(), 16000, **options)
+        return [folder / name]
+
+    return Target(make, lambda folder: read_sound(folder / name))
+
+
+def _video(name: str) -> Target:
+    def make(folder: Path) -> list[Path]:
+        with VideoWriter(folder / "a.mp4", (64, 48), sound=(_sound(), 16000), threads=1) as video:
+            for k in range(12):
+                video.write(np.roll(_picture(), 3 * k, axis=1))
+        if name != "a.mp4":
+            _remux(folder / "a.mp4", folder / name)
+        return [folder / name]
+
+    def read(folder: Path) -> None:
+        probe(folder / name)
+        for _ in itertools.islice(read_frames(folder / name), FRAMES):
+            pass
+        for _ in itertools.islice(read_grey(folder / name, 32), FRAMES):
+            pass
+        read_sound(folder / name)
+
+    return Target(make, read)
+
+
+def _remux(given: Path, wanted: Path) -> None:
+    import av
+
+    with av.open(str(given)) as source, av.open(str(wanted), "w") as target:
+        streams = {one: target.add_stream_from_template(one) for one in source.streams}
+        for packet in source.demux():
+            if packet.dts is not None:
+                packet.stream = streams[packet.stream]
+                target.mux(packet)
+
+
+TRANSCRIPTS = {
+    "a.json": '[{"word": "one", "start": 0.1, "end": 0.4}, {"text": "two", "start": 1, "dur": 2}]',
+    "a.srt": "1\n00:00:01,000 --> 00:00:02,500\none\n\n2\n00:00:03,000 --> 00:00:04,000\ntwo\n",
+    "a.vtt": "WEBVTT\n\n00:01.000 --> 00:02.500\none two\n",
+    "a.ctm": "a 1 0.10 0.30 one 0.9\na 1 0.50 0.30 two 0.9\n",
+    "a.txt": "Some words that somebody says. 1234.\n",
+    "a.TextGrid": 'File type = "ooTextFile"\nObject class = "TextGrid"\n\n0\n2\n<exists>\n1\n'
+    '"IntervalTier"\n"words"\n0\n2\n2\n0\n1\n"one"\n1\n2\n"two"\n',
+}
+
+
+def _text(name: str, text: str, read: Callable[[Path], object]) -> Target:
+    def make(folder: Path) -> list[Path]:
+        (folder / name).write_text(text)
+        return [folder / name]
+
+    return Target(make, lambda folder: read(folder / name))
+
+
+def _make_dataset(folder: Path) -> list[Path]:
+    for name in ("audio", "features", "frames", "words", "sources"):
+        (folder / name).mkdir()
+    row = ("a_000", "ann", "train", "a", "0.00", "25", "12", "0.48")
+    (folder / "meta.csv").write_text(f"{','.join(COLUMNS)}\n{','.join(row)}\n")
+    source = {"name": "a", "file": "a.mp4", "speaker": "ann", "crop": None, "spans": []}
+    manifest = {"format": 2, "fps": 25, "size": 256, "splits": {"ann": "x"}, "sources": [source]}
+    (folder / "dataset.json").write_text(json.dumps(manifest))
+    write_wav(folder / "audio" / "a_000.wav", _sound(0.48))
+    write_features(folder / "features" / "a_000.npz", Speech(_sound(0.48)))
+    frames = [encode_frame(cv2.resize(_picture(), (256, 256)))] * 12
+    write_frames(folder / "frames" / "a_000.safetensors", frames)
+    write_words(folder / "words" / "a_000.json", [Word("one", 0.1, 0.3)])
+    (folder / "sources" / "a.json").write_text(json.dumps({"key": "", "source": source}))
+    return sorted(path for path in folder.rglob("*.*") if path.is_file())
+
+
+def _read_dataset(folder: Path) -> None:
+    data = Dataset(folder)
+    read_records(folder)
+    for clip in data.clips()[:3]:
+        store = data.frames(clip)
+        for index in {0, len(store) - 1}:
+            store[index]
+        speech = data.speech(clip)
+        for name in ("onset", "mfcc", "onset_times"):
+            speech[name]
+        data.sound(clip)
+
+
+PATS = (
+    "interval_id,speaker,start_time,end_time,video_fn,video_link\n"
+    "1,ann,00:00:01.5,00:00:04,a.mp4,x\n2,ann,0 days 00:01:00,61.5,b.mp4,y\n"
+)
+WORDS = '[{"word": "one", "start": 0.1, "end": 0.3}]'
+
+LIGHT: dict[str, Target] = {
+    **{f"photo {end}": _photo(f"a.{end}") for end in ("png", "jpg", "gif", "webp", "tiff", "bmp")},
+    **{f"sound {end}": _recording(f"a.{end}") for end in ("wav", "flac", "mp3", "ogg", "aiff")},
+    "sound float": _recording("a.wav", subtype="FLOAT"),
+    **{f"video {end}": _video(f"a.{end}") for end in ("mp4", "mkv", "mov", "ts")},
+    **{f"transcript {k[2:]}": _text(k, v, read_transcript) for k, v in TRANSCRIPTS.items()},
+    "words": _text("a.json", WORDS, read_words),
+    "PATS table": _text("a.csv", PATS, read_intervals),
+    "dataset": Target(_make_dataset, _read_dataset),
+}
+
+
+def heavy() -> dict[str, Target]:
+    """Those whose readers import torch."""
+    import torch
+
+    from angie.bundle import BUNDLE, Bundle
+    from angie.config import Preset, override, parse_overrides
+    from angie.evaluation.joints import _joints_of
+    from angie.metrics.autoencoder import load_autoencoder
+    from angie.motion.keypoints import KeypointDataset
+    from angie.motion.statistics import MotionStatistics
+    from data_prep.dataset import Clip
+    from data_prep.tensors import save_tensors
+    from mraa.motion import Motion, read_motion, write_motion
+    from mraa.pickled import load_pickled
+    from mraa.released import read_checkpoint
+    from mraa.released_sizes import params_from_tensors, read_params
+    from mraa.training.checkpoint import Checkpoint
+
+    def bundle(folder: Path) -> list[Path]:
+        for name in ("bundle.json", "statistics.safetensors", "angie.vq.safetensors"):
+            shutil.copyfile(BUNDLE / name, folder / name)
+        return [folder / "bundle.json", folder / "statistics.safetensors"]
+
+    def read_bundle(folder: Path) -> None:
+        opened = Bundle.open(folder)
+        entry = opened.manifest["parts"].get("statistics")
+        path = folder / "statistics.safetensors"
+        if entry and path.is_file() and path.stat().st_size:  # as if the hash were right
+            entry["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
+        opened.statistics()
+        opened.has("angie.vq")
+
+    def settings(folder: Path) -> list[Path]:
+        text = "renderer:\n  regions: 5\ntrain_vq:\n  schedule:\n    rate: 0.001\nvq:\n  codes: 8\n"
+        (folder / "a.yaml").write_text(text)
+        return [folder / "a.yaml"]
+
+    def params(folder: Path) -> list[Path]:
+        text = "model_params:\n  num_regions: 5\n  num_channels: 3\n  estimate_affine: True\n"
+        (folder / "a.yaml").write_text(text + "dataset_params:\n  frame_shape: [64, 64, 3]\n")
+        return [folder / "a.yaml"]
+
+    def motion(folder: Path) -> list[Path]:
+        factors = torch.ones(9, 4, 3)
+        write_motion(folder / "a.npz", Motion(torch.zeros(9, 4, 2), factors), "x")
+        return [folder / "a.npz"]
+
+    def pth(folder: Path) -> list[Path]:
+        part = {"a.weight": torch.zeros(3, 3), "b": torch.ones(2)}
+        torch.save({"generator": part, "region_predictor": part}, folder / "a.pth")
+        return [folder / "a.pth"]
+
+    def read_pth(folder: Path) -> None:
+        load_pickled(folder / "a.pth")
+        params_from_tensors(read_checkpoint(folder / "a.pth"))
+
+    def checkpoint(folder: Path) -> list[Path]:
+        notes = {"format": "2", "step": "3", "identity": "x", "best": "{}", "scaler": "{}"}
+        save_tensors(folder / "a.safetensors", {"model.a.w": torch.zeros(4)}, notes)
+        return [folder / "a.safetensors"]
+
+    def joints(folder: Path) -> list[Path]:
+        (folder / "motion").mkdir()
+        (folder / "audio").mkdir()
+        (folder / "clips.csv").write_text("clip,speaker,split,fps\na,ann,train,25\nb,ann,test,25\n")
+        for name in "ab":
+            points = np.zeros((30, 3, 2)) + np.arange(30)[:, None, None]
+            np.savez(folder / "motion" / f"{name}.npz", points=points)
+            write_wav(folder / "audio" / f"{name}.wav", _sound(1.2))
+        return [folder / "clips.csv", folder / "motion" / "a.npz", folder / "audio" / "a.wav"]
+
+    def read_joints(folder: Path) -> None:
+        data = KeypointDataset(folder, folder / "cache")
+        data.check_sound()
+        data.motion_clips("train")
+
+    def truth(folder: Path) -> list[Path]:
+        np.savez(folder / "a.npz", joints=np.zeros((20, 5, 2)))
+        return [folder / "a.npz"]
+
+    def read_truth(folder: Path) -> None:
+        source = {"spans": [], "crop": {"x": 0, "y": 0, "size": 64}}
+        _joints_of(folder / "a.npz", Clip("a", "ann", "test", "a", 0.0, 10), source)
+
+    def autoencoder(folder: Path) -> list[Path]:
+        tensors = {"rest": torch.zeros(4), "scale": torch.ones(4)}
+        save_tensors(folder / "a.safetensors", tensors, {"angie": "{}"})
+        return [folder / "a.safetensors"]
+
+    return {
+        "bundle": Target(bundle, read_bundle, False),
+        "statistics": Target(
+            bundle, lambda f: MotionStatistics.load(f / "statistics.safetensors"), False
+        ),
+        "settings": Target(
+            settings, lambda f: override(Preset(), parse_overrides([str(f / "a.yaml")])), False
+        ),
+        "MRAA's settings": Target(params, lambda f: read_params(f / "a.yaml"), False),
+        "motion": Target(motion, lambda f: read_motion(f / "a.npz"), False),
+        "released checkpoint": Target(pth, read_pth, False),
+        "training checkpoint": Target(checkpoint, lambda f: Checkpoint(f / "a.safetensors"), False),
+        "joints": Target(joints, read_joints, False),
+        "truth": Target(truth, read_truth, False),
+        "autoencoder": Target(autoencoder, lambda f: load_autoencoder(f / "a.safetensors"), False),
+    }
