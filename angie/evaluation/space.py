@@ -6,7 +6,6 @@ common, nor have regions and joints, so scores can be compared only within a spa
 The phantom's true joints in the frames of a dataset, and reading joints from regions.
 """
 
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,6 +21,7 @@ from angie.metrics.autoencoder import MotionScale
 from angie.metrics.beats import usual_steps
 from angie.motion.clips import MotionClip, read_clips
 from angie.motion.statistics import MotionStatistics, measure
+from data_prep.arrays import read_arrays
 from data_prep.dataset import Clip, Dataset
 from data_prep.errors import BadInput
 from data_prep.rates import FPS, IMAGE_SIZE
@@ -144,9 +144,10 @@ def true_joints(dataset: Dataset, raw: Path) -> dict[str, NDArray]:
 def _joints_of(path: Path, clip: Clip, source: dict[str, Any]) -> NDArray | None:
     """Joints of one clip in pixels of its frames; None where the truth does not reach."""
     try:
-        with np.load(path, allow_pickle=False) as truth:
-            joints = truth["joints"].astype(np.float64)
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        joints = read_arrays(path, ("joints",))["joints"].astype(np.float64)
+        if joints.ndim != 3 or joints.shape[2] != 2:
+            raise ValueError(f"joints {joints.shape}")
+    except (KeyError, ValueError) as error:
         raise BadInput(f"{path}: no truth of the phantom speaker ({error})") from error
     first = round(clip.start * FPS)
     crops = [s["crop"] for s in source["spans"] if s["first"] <= first < s["stop"]]

@@ -176,7 +176,7 @@ def heavy() -> dict[str, Target]:
 
     from angie.bundle import BUNDLE, Bundle
     from angie.config import Preset, override, parse_overrides
-    from angie.evaluation.joints import _joints_of
+    from angie.evaluation.space import _joints_of
     from angie.metrics.autoencoder import load_autoencoder
     from angie.motion.keypoints import KeypointDataset
     from angie.motion.statistics import MotionStatistics

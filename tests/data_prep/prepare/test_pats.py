@@ -44,8 +44,8 @@ def test_times_of_all_kinds(text: str, seconds: float) -> None:
 
 def test_tables_that_cannot_be_used(tmp_path: Path) -> None:
     for name, text, told in [
-        ("empty.csv", "", "and has no interval_id, speaker"),
-        ("other.csv", "interval_id,speaker,start_time\n", "no column end_time, video_fn"),
+        ("empty.csv", "", "0 bytes"),
+        ("other.csv", "interval_id,speaker,start_time\n", "has no end_time, video_fn"),
         ("nobody.csv", HEADER + row(1, "jon", "0:01", "0:09", "a"), "there are jon"),
     ]:
         (tmp_path / name).write_text(text)
