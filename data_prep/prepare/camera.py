@@ -49,6 +49,9 @@ _OTHER = 8.0
 _HELD = 3
 """Pictures through which a reference must have been followed for its loss to mean something."""
 
+_BLIND = 5
+"""Pictures after which points are sought again where there were none."""
+
 SHORT_WINDOW, SHORT_WAY = 25, 0.012
 """Frames, and the way in long sides that a still camera may stray within so many."""
 
@@ -77,6 +80,7 @@ class CameraTracker:
         self._points: np.ndarray = np.zeros((0, 1, 2), np.float32)
         self._seen: np.ndarray = self._points
         self._held = 0
+        self._blind = 0
         self._most = 0.0
         self._base = np.eye(3)
         self._current = np.eye(3)
@@ -164,8 +168,11 @@ class CameraTracker:
         if len(self._points) < _FEWEST:
             # Nothing to hold on to: a still camera, until the picture shows something.
             self._held = 0
-            self._refer(small, people)
-            return not self._differs(small)
+            other = self._differs(small)
+            self._blind = 0 if other else self._blind + 1
+            if self._blind % _BLIND == 0:
+                self._refer(small, people)
+            return not other
         matrix, kept = self._match(small)
         if matrix is None:
             self._refer(self._previous, people)

@@ -185,6 +185,22 @@ def find_faces(
     return profiles
 
 
+def newcomers(image: np.ndarray, known: Sequence[Face], side: int) -> bool:
+    """Whether the whole picture may show another face than those known; a quarter of a search.
+
+    Args:
+        image: `(H, W)` uint8 grey.
+        known: faces, in its pixels.
+        side: pixels of the long side at which it is searched.
+    """
+    scale = min(side / max(image.shape), 1.0)
+    grey = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    hits = [
+        face.scaled(1 / scale) for face, n in _hits(grey, _FRONTAL[0], _SMALLEST) if n >= _AGAIN
+    ]
+    return not all(any(_same(hit, one) or _on_body(hit, one) for one in known) for hit in hits)
+
+
 def find_people(image: np.ndarray, detector: Detector | None = None) -> list[Face]:
     """Find the faces of everybody who counts in a picture, small ones too; slower.
 

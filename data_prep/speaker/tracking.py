@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from data_prep.speaker.faces import Detector, Face, find_faces, median_face, rivals
+from data_prep.speaker.faces import Detector, Face, find_faces, median_face, newcomers, rivals
 
 NEAR_STEP = 10
 """Frames after which known faces are looked for where they were."""
@@ -85,7 +85,12 @@ class FaceFollower:
             self.places, self._known = [], []
             self._wait, self._next_whole, self._fresh = _SOON, frame, True
         if frame >= self._next_whole:
-            self._look_everywhere(grey, frame)
+            faces = [face for face, _ in self._known]
+            if self._detector is None and faces and not newcomers(grey, faces, _SIDES[0]):
+                self._look_again(grey, frame)
+                self._next_whole = frame + (WHOLE_STEP if self._known else NEAR_STEP)
+            else:
+                self._look_everywhere(grey, frame)
         elif frame >= self._next_near and self._known:
             self._look_again(grey, frame)
             if not self._known:
