@@ -190,6 +190,7 @@ def main() -> None:
     parser.add_argument("--limit", type=float, default=120, help="seconds for those of hours")
     parser.add_argument("--only", default="", help="run only commands with this text")
     given = parser.parse_args()
+    sys.path.insert(0, str(ROOT))  # the checkout's packages, whether they are installed or not
     work = given.work.resolve()
     if work.exists() and not given.only:
         parser.error(f"{work} is there already; name a new folder")
