@@ -141,6 +141,7 @@ def animate(
         result = from_video(pipeline, photo, drive, driving, view)
     else:
         assert audio is not None
+        _ = pipeline.generator, pipeline.renderer  # loaded while the recording is listened to
         result = pipeline(
             photo,
             audio,

@@ -20,6 +20,7 @@ def compiled(function: Callable[..., Any]) -> Any:
     from numba import njit
 
     settings: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+    settings["fastmath"] = {"contract"}  # a product is added in one step
     try:
         return njit(cache=True, **settings)(function)
     except RuntimeError:  # numba found no folder that it can write to

@@ -86,8 +86,8 @@ def same_convolution(
     scale_shift: ScaleShift | None = None,
 ) -> "Convolution | Winograd":
     """A convolution that keeps height and width, done the fastest way; arguments as above."""
-    if fits(kernel, shape, dtype):
-        return Winograd(kernel, relu=relu, scale_shift=scale_shift)
+    if fits(kernel, shape):
+        return Winograd(kernel, dtype=dtype, relu=relu, scale_shift=scale_shift)
     padding = kernel.weight.shape[-1] // 2
     return Convolution(
         kernel, shape, dtype=dtype, padding=padding, relu=relu, scale_shift=scale_shift

@@ -18,7 +18,6 @@ from mraa.blocks import Hourglass
 from mraa.fast import warp_kernel
 from mraa.fast.convolution import Convolution, same_convolution
 from mraa.fast.folding import columns, doubling, fold, stacked
-from mraa.fast.winograd import Winograd, fits
 from mraa.flow import FlowPredictor, region_maps
 from mraa.regions import Regions
 
@@ -91,14 +90,10 @@ class FoldedHourglass:
         return x
 
 
-def up_convolution(
-    block: Any, at: tuple[int, int, int], dtype: torch.dtype
-) -> Convolution | Winograd:
+def up_convolution(block: Any, at: tuple[int, int, int], dtype: torch.dtype) -> Convolution:
     """An `UpBlock` as one convolution to phases, for inputs of B, h, w `at`."""
     kernel = doubling(fold(block.conv, block.norm))
     shape = (at[0], kernel.weight.shape[1], *at[1:])
-    if fits(kernel, shape, dtype):
-        return Winograd(kernel)
     return Convolution(kernel, shape, dtype=dtype, padding=1)
 
 

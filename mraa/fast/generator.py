@@ -16,6 +16,7 @@ from mraa.fast import warp_kernel
 from mraa.fast.convolution import Convolution, same_convolution
 from mraa.fast.flow import Field, FoldedFlow, Shape, empty, framed, pixels, planes, up_convolution
 from mraa.fast.folding import blocks, fold, norm_scale_shift
+from mraa.fast.winograd import Winograd, joined, split
 from mraa.generator import DeepGenerator, ImageGenerator, LiteGenerator
 from mraa.regions import Regions
 from mraa.renderer import Parts, Renderer, Source
@@ -52,6 +53,7 @@ class FoldedResidual:
         second = fold(block.conv2, None if before else block.norm2)
         self.first = same_convolution(first, shape, dtype=dtype, scale_shift=scale_shift)
         self.second = same_convolution(second, shape, dtype=dtype, relu=not before)
+        self.in_lines = not before and isinstance(self.second, Winograd)
 
     def __call__(self, x: Tensor) -> Tensor:
         """(B, C, H, W) to the same shape."""
@@ -62,13 +64,22 @@ class Bottleneck:
     """Residual blocks, one after the other."""
 
     def __init__(self, blocks: Any, shape: Shape, dtype: torch.dtype) -> None:
-        self.blocks = [FoldedResidual(block, shape, dtype) for block in blocks]
+        self.blocks: list[Any] = [FoldedResidual(block, shape, dtype) for block in blocks]
+        self.in_lines = len(self.blocks) > 0 and all(block.in_lines for block in self.blocks)
 
     def __call__(self, x: Tensor) -> Tensor:
         """(B, C, H, W) to the same shape."""
+        if not self.in_lines:
+            for block in self.blocks:
+                x = block(x)
+            return x
+        lines = split(x)
+        between, out = torch.zeros_like(lines), torch.zeros_like(lines)
         for block in self.blocks:
-            x = block(x)
-        return x
+            block.first.convolve(lines, between, len(x))
+            block.second.convolve(between, out, len(x), lines)
+            lines, out = out, lines
+        return joined(lines, len(x))
 
 
 class FoldedPaper:

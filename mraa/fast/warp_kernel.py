@@ -35,16 +35,10 @@ def _like(value: Any, array: Any) -> Any:
     return value
 
 
-@compiled
-def _rounded(bits: int) -> int:
-    """Bits of the bfloat16 nearest to a float32 given by its bits, even on a tie."""
-    return np.uint16((bits + ((bits >> 16) & 1) + 0x7FFF) >> 16)
-
-
 @overload(_load, inline="always", strict=False)
 def _load_compiled(value: Any) -> Any:
     if value == types.uint16:
-        return lambda value: np.uint32(value << np.uint16(16)).view(np.float32)
+        return lambda value: np.uint32(np.uint32(value) << np.uint32(16)).view(np.float32)
     return lambda value: value
 
 
@@ -52,7 +46,9 @@ def _load_compiled(value: Any) -> Any:
 def _like_compiled(value: Any, array: Any) -> Any:
     if array.dtype != types.uint16:
         return lambda value, array: value
-    return lambda value, array: _rounded(np.float32(value).view(np.uint32))
+    return lambda value, array: np.uint16(  # to the nearest, away from zero on a tie
+        np.uint32(np.float32(value).view(np.uint32) + np.uint32(0x8000)) >> np.uint32(16)
+    )
 
 
 @compiled

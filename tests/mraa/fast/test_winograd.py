@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 
 from mraa.fast.folding import Kernel
-from mraa.fast.winograd import Winograd, fits, transformed_kernel
+from mraa.fast.winograd import Winograd, fits, joined, split
 
 
 def make(inputs=32, outputs=48, height=8, width=12, count=3):
@@ -49,27 +49,41 @@ def test_more_tiles_than_are_taken_at_once():
 def test_kernel_of_one_tap():
     weight = torch.zeros(1, 1, 3, 3)
     weight[0, 0, 0, 0] = 1
-    column = np.array([1 / 4, -1 / 6, -1 / 6, 1 / 24, 1 / 24, 0])  # G times (1, 0, 0)
-    wanted = np.outer(column, column)
-    np.testing.assert_allclose(transformed_kernel(weight, 4).reshape(6, 6), wanted, atol=1e-7)
+    down = np.array([1 / 4, -1 / 6, -1 / 6, 1 / 24, 1 / 24, 0])  # G times (1, 0, 0)
+    across = np.array([1, 1 / 2, 1 / 2, 0])
+    found = Winograd(Kernel(weight, torch.zeros(1))).matrices.reshape(6, 4)
+    np.testing.assert_allclose(found, np.outer(down, across), atol=1e-7)
+
+
+def test_bfloat16_loses_about_a_hundredth():
+    x, kernel = make(inputs=64, outputs=64)
+    x = x.bfloat16()
+    wanted = F.conv2d(x.double(), kernel.weight.double(), kernel.bias.double(), padding=1)
+    found = Winograd(kernel, dtype=torch.bfloat16, relu=False)(x)
+    assert found.dtype == torch.bfloat16
+    assert 1e-3 < error(found, wanted) < 0.02
+
+
+def test_lines_hold_zeros_around_every_frame():
+    x = torch.arange(1.0, 17.0).reshape(2, 1, 2, 4)
+    lines = split(x)
+    assert lines[..., 0].tolist() == [
+        [[0, 0, 0], [0, 0, 0]],
+        [[0, 2, 4], [1, 3, 0]],
+        [[0, 6, 8], [5, 7, 0]],
+        [[0, 0, 0], [0, 0, 0]],
+        [[0, 10, 12], [9, 11, 0]],
+        [[0, 14, 16], [13, 15, 0]],
+        [[0, 0, 0], [0, 0, 0]],
+    ]
+    assert torch.equal(joined(lines, 2), x)
 
 
 def test_only_shapes_that_it_can_do():
     _, kernel = make(64, 64)
-    single = torch.float32
-    assert fits(kernel, (1, 64, 64, 64), single)
-    assert not fits(kernel, (1, 64, 64, 64), torch.bfloat16)
-    assert not fits(kernel, (1, 64, 62, 64), single)
-    assert fits(Kernel(torch.zeros(64, 64, 2, 2), torch.zeros(64)), (1, 64, 62, 64), single)
-    assert not fits(make(60, 64)[1], (1, 60, 64, 64), single)
-    assert not fits(Kernel(torch.zeros(64, 64, 5, 5), torch.zeros(64)), (1, 64, 64, 64), single)
-
-
-def test_kernels_of_two():
-    x, _ = make(height=8, width=13)
-    random = torch.Generator().manual_seed(1)
-    kernel = Kernel(torch.randn(16, 32, 2, 2, generator=random) / 8, torch.randn(16))
-    wanted = F.conv2d(x.double(), kernel.weight.double(), kernel.bias.double(), padding=1).relu()
-    found = Winograd(kernel)(x)
-    assert wanted.shape[2:] == (9, 14) and found.shape[2:] == (9, 15)
-    assert error(found[..., :14], wanted) < 5e-6
+    assert fits(kernel, (1, 64, 64, 62))
+    assert not fits(kernel, (1, 64, 62, 64))
+    assert not fits(kernel, (1, 64, 64, 63))
+    assert not fits(kernel, (1, 64, 8, 8))
+    assert not fits(make(64, 16)[1], (1, 64, 64, 64))
+    assert not fits(Kernel(torch.zeros(64, 64, 5, 5), torch.zeros(64)), (1, 64, 64, 64))
