@@ -35,14 +35,14 @@ def _like(value: Any, array: Any) -> Any:
     return value
 
 
-@overload(_load, inline="always", strict=False)
+@overload(_load, strict=False)
 def _load_compiled(value: Any) -> Any:
     if value == types.uint16:
         return lambda value: np.uint32(np.uint32(value) << np.uint32(16)).view(np.float32)
     return lambda value: value
 
 
-@overload(_like, inline="always", strict=False)
+@overload(_like, strict=False)
 def _like_compiled(value: Any, array: Any) -> Any:
     if array.dtype != types.uint16:
         return lambda value, array: value
