@@ -1,6 +1,7 @@
 """Training a speaker bundle: renderer, motion, the stages of a generator; AVD if asked."""
 
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from angie.motion.windows import WINDOW
 from angie.opening import initial_weights, open_or_create, teacher_of
 from data_prep.dataset import Clip, Dataset
 from data_prep.errors import BadInput, check_choice, check_seed
-from data_prep.files import check_apart
+from data_prep.files import alone, check_apart
 from data_prep.progress import console
 from data_prep.rates import FPS
 from data_prep.speaker.crop import FACE_DOWN, SIDE_IN_FACES
@@ -295,29 +296,30 @@ def train(
     if run.precision == "auto":
         run = replace(run, precision=native_precision(run.device))
     fabric = launch(run)
-    if fabric.global_rank == 0:
-        open_or_create(Path(output), preset, changes or {}, generator, stage, resume, force)
-    fabric.barrier()
-    keep_memory()
-    bundle = Bundle.open(output)
-    if isinstance(data, KeypointDataset) != bundle.preset.points:
-        raise BadInput(f"{output}: regions and joints do not mix; name another folder")
-    measured = bundle.manifest["speakers"] if bundle.has("statistics") else [speaker]
-    if speaker is not None and stage != "motion" and measured != [speaker]:
-        raise BadInput(
-            f"--speaker {speaker}: {output} was measured on others; --stage motion first"
-        )
-    trainer = Trainer(data, bundle, seed, run, resume, fabric, speaker)
-    found = family(bundle.chosen(generator))
-    stages = stages_of(bundle, found)
-    for name in _chosen(stage, bundle, found):
-        part, action = stages[name]
-        if stage == "all" and resume and trainer.bundle.has(part):
-            trainer.check_dataset(part)
-            console.print(f"{name}: done before")
-            continue
-        action(trainer)
-    return trainer.bundle
+    with alone(output) if fabric.global_rank == 0 else nullcontext():
+        if fabric.global_rank == 0:
+            open_or_create(Path(output), preset, changes or {}, generator, stage, resume, force)
+        fabric.barrier()
+        keep_memory()
+        bundle = Bundle.open(output)
+        if isinstance(data, KeypointDataset) != bundle.preset.points:
+            raise BadInput(f"{output}: regions and joints do not mix; name another folder")
+        measured = bundle.manifest["speakers"] if bundle.has("statistics") else [speaker]
+        if speaker is not None and stage != "motion" and measured != [speaker]:
+            raise BadInput(
+                f"--speaker {speaker}: {output} was measured on others; --stage motion first"
+            )
+        trainer = Trainer(data, bundle, seed, run, resume, fabric, speaker)
+        found = family(bundle.chosen(generator))
+        stages = stages_of(bundle, found)
+        for name in _chosen(stage, bundle, found):
+            part, action = stages[name]
+            if stage == "all" and resume and trainer.bundle.has(part):
+                trainer.check_dataset(part)
+                console.print(f"{name}: done before")
+                continue
+            action(trainer)
+        return trainer.bundle
 
 
 def _check_data(data: Dataset | KeypointDataset, speaker: str | None, stage: str) -> None:

@@ -66,6 +66,8 @@ def whole_file(path: Path, *, force: bool = False) -> Iterator[Path]:
     part = _beside(path)
     try:
         yield part
+        if not force:
+            check_output(path)  # another command may have made it meanwhile
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
@@ -91,6 +93,8 @@ def whole_folder(path: Path, *, mark: str, force: bool = False) -> Iterator[Path
     part.mkdir()
     try:
         yield part
+        if not force:
+            check_output(path)  # another command may have made it meanwhile
         if path.exists():
             old = _beside(path)
             os.replace(path, old)
@@ -143,6 +147,32 @@ def locked(folder: Path, what: Path) -> Iterator[None]:
     try:
         yield
     finally:
+        lock.release()
+
+
+@contextmanager
+def alone(output: Path) -> Iterator[None]:
+    """Be the only one who makes an output while the block runs; it ends with the process.
+
+    The lock is a hidden file beside the output, which is removed in the end.
+
+    Raises:
+        BadInput: another process makes it, or as `check_output`.
+    """
+    from filelock import FileLock, Timeout
+
+    output = Path(output).absolute()
+    check_output(output, force=True)
+    lock = FileLock(output.with_name(f".{output.name}.lock"))
+    try:
+        lock.acquire(timeout=0)
+    except Timeout as error:
+        what = "another command is at work in it; wait until it has ended"
+        raise BadInput(f"{output}: {what}") from error
+    try:
+        yield
+    finally:
+        Path(lock.lock_file).unlink(missing_ok=True)
         lock.release()
 
 

@@ -23,7 +23,7 @@ from angie.parts import OPTIONAL
 from angie.training import stages_of, train
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
-from data_prep.files import check_apart, check_output, whole_file
+from data_prep.files import alone, check_apart, check_output, whole_file
 from data_prep.progress import console
 from mraa.training.run import RunConfig
 
@@ -105,24 +105,25 @@ def ablate(
         "seed": seed,
         "settings": json.loads(json.dumps(asdict(base))),
     }
-    _begin(output, origin)
-    needed = [known[name].parts_of for name in variants]
-    for name in dict.fromkeys([*(whole for whole in needed if whole), *variants]):
-        preset = settings_of(base, name, found.name)
-        _train(dataset, source, output / name, preset, known[name].parts_of, seed, run)
-    folders = [output / name for name in variants]
-    numbers = evaluate(dataset, folders, output / REPORT, config, device=device, force=True)
-    space = open_space(data, Bundle.open(folders[0]), output / "scratch", device)
-    shares = {
-        title: {
-            name: share(Bundle.open(output / name).generator(), space.test) for name in variants
+    with alone(output):
+        _begin(output, origin)
+        needed = [known[name].parts_of for name in variants]
+        for name in dict.fromkeys([*(whole for whole in needed if whole), *variants]):
+            preset = settings_of(base, name, found.name)
+            _train(dataset, source, output / name, preset, known[name].parts_of, seed, run)
+        folders = [output / name for name in variants]
+        numbers = evaluate(dataset, folders, output / REPORT, config, device=device, force=True)
+        space = open_space(data, Bundle.open(folders[0]), output / "scratch", device)
+        shares = {
+            title: {
+                name: share(Bundle.open(output / name).generator(), space.test) for name in variants
+            }
+            for title, share in found.columns.items()
         }
-        for title, share in found.columns.items()
-    }
-    text = table(numbers, shares)
-    with whole_file(output / TABLE, force=True) as part:
-        part.write_text(text + "\n")
-    return text
+        text = table(numbers, shares)
+        with whole_file(output / TABLE, force=True) as part:
+            part.write_text(text + "\n")
+        return text
 
 
 def _begin(output: Path, origin: dict[str, Any]) -> None:

@@ -1,7 +1,7 @@
 import pytest
 
 from data_prep.errors import BadInput
-from data_prep.files import check_apart, check_output, whole_file, whole_folder
+from data_prep.files import alone, check_apart, check_output, whole_file, whole_folder
 
 
 def test_a_file_appears_whole(tmp_path):
@@ -60,3 +60,24 @@ def test_an_output_must_not_be_an_input(tmp_path):
         with pytest.raises(BadInput, match="would replace the input"):
             check_apart(output, [video])
     check_apart(tmp_path / "videos" / "b.mp4", [video])
+
+
+def test_only_one_command_is_at_work_in_an_output(tmp_path):
+    output = tmp_path / "bundle"
+    with alone(output):
+        with pytest.raises(BadInput, match="another command is at work in it"):
+            with alone(output):
+                pass
+        assert [path.name for path in tmp_path.iterdir()] == [".bundle.lock"]
+    assert not list(tmp_path.iterdir())
+    with alone(output):
+        pass
+
+
+def test_what_has_been_made_meanwhile_is_not_replaced(tmp_path):
+    with pytest.raises(BadInput, match="exists already"):
+        with whole_file(tmp_path / "a.txt") as part:
+            part.write_text("mine")
+            (tmp_path / "a.txt").write_text("theirs")
+    assert (tmp_path / "a.txt").read_text() == "theirs"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
