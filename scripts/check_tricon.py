@@ -17,6 +17,9 @@ sound     Beat consistency with the own sound, and the mean of that with the sou
 identity  A classifier of speakers (spread and speed of each region over 64 frames, logistic
           regression) on motion in each of the four styles to the same speech, begun with the same
           pose. Share of windows whose style it names; by chance a quarter.
+course    Pixels: the largest first step of a region, and the largest step in training. Mean speed
+          of the active regions where windows meet (4 frames of 15 a second, every 30) over that
+          elsewhere.
 """
 
 import argparse
@@ -199,6 +202,28 @@ def judge_sound(
     return {name: interval(np.stack([values, ones], 1)) for name, values in columns.items()}
 
 
+def judge_course(
+    made: list[Motion], train: list[MotionClip], stats: MotionStatistics
+) -> dict[str, float]:
+    """How motion begins, and where its windows meet; pixels of a picture of 256."""
+
+    def steps(motion: Motion) -> NDArray:
+        return motion.shift.diff(dim=0).norm(dim=-1).numpy() * 128
+
+    inside, outside = [], []
+    for motion in made:
+        moved = steps(motion)[:, stats.active.numpy()].mean(1)
+        at = (np.arange(len(moved)) + 0.5) / FPS % 2.0
+        met = (at < 4 / 15) & (np.arange(len(moved)) > FPS)
+        inside.append(moved[met])
+        outside.append(moved[~met])
+    return {
+        "first step": float(max(steps(motion)[0].max() for motion in made)),
+        "largest of training": float(max(steps(clip.motion).max() for clip in train)),
+        "seams": float(np.concatenate(inside).mean() / np.concatenate(outside).mean()),
+    }
+
+
 def judge_identity(
     generator: GestureGenerator, takes: list[Said], judge: Pipeline, stats: MotionStatistics
 ) -> dict[str, Any]:
@@ -255,6 +280,7 @@ def main() -> None:
             report["bundles"][str(folder)] = found_all = {
                 "words": words, "sound": judge_sound(own, takes, train, stats),
                 "identity": judge_identity(generator, takes[::4], styles, stats),
+                "course": judge_course(own, train, stats),
             }  # fmt: skip
             print(folder, json.dumps(found_all, indent=1), flush=True)
             advance()
