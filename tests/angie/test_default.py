@@ -7,19 +7,24 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from angie.bundle import BUNDLE, DEFAULT, PHOTO, SPEECH, Bundle
+from angie.bundle import BUNDLE, DEFAULT, PHOTO, SPEECH, WORDS, Bundle
 from angie.opening import open_or_create
 from angie.parts import describe
 from angie.pipeline import GesturePipeline
 from data_prep.errors import BadInput
 from data_prep.media.audio import read_sound, write_wav
 from data_prep.media.video import read_frames
+from data_prep.phantom.script import TRIGGERS
 from data_prep.speaker.crop import find_faces
+from data_prep.speech.features import Speech
+from data_prep.speech.words import read_words
+from mraa.motion import Motion
 
 
 def test_the_shipped_bundle_is_whole_and_small():
     bundle = Bundle.open(BUNDLE)
-    assert all(bundle.has(part) for part in bundle.needed())
+    assert bundle.generators == ["angie", "tricon"]
+    assert all(bundle.has(part) for name in bundle.generators for part in bundle.needed(name))
     assert bundle.preset.name == "lite"
     size = sum(path.stat().st_size for path in DEFAULT.rglob("*") if path.is_file())
     assert size < 24e6
@@ -46,6 +51,22 @@ def test_the_shipped_presenter_moves_while_speaking(tmp_path):
     assert moved[5:].mean() > 1  # of 255, over the whole picture
     speed = np.abs(np.diff(frames, axis=0)).mean(axis=(1, 2, 3))
     assert speed.max() < 25  # nothing jumps
+
+
+def test_the_shipped_words_are_said_and_gestured_to():
+    words = read_words(WORDS)
+    seconds = len(read_sound(SPEECH)) / 16_000
+    assert len(words) > 10 and words[-1].end < seconds
+    sure = {word.word for word in words} & set(TRIGGERS)
+    assert sure  # words that call for a stroke
+    pipe = GesturePipeline.from_pretrained(generator="tricon")
+    speech = pipe.speech(SPEECH, WORDS)
+    start = Motion.from_vector(pipe.statistics.rest[:1])
+    said = pipe.generator.generate(speech, start, 200, style="bella")
+    unsaid = pipe.generator.generate(Speech(speech.samples), start, 200, style="bella")
+    moved = said.shift.diff(dim=0).norm(dim=-1)
+    assert (said.shift - unsaid.shift).abs().max() > 0.02
+    assert 0.001 < moved.mean() < 0.02 and moved.max() < 0.2  # units of half a picture
 
 
 def test_motion_of_a_copy_is_trained_on_without_what_its_renderer_began_with(tmp_path):
