@@ -292,8 +292,8 @@ class GesturePipeline:
             )  # fmt: skip
 
         sound = audio if isinstance(audio, tuple) else Path(audio)
-        given = Path(words) if isinstance(words, str | Path) else None
-        files = [path for path in (subject.path, sound, given) if isinstance(path, Path)]
+        read = Path(words) if isinstance(words, str | Path) else None
+        files = [path for path in (subject.path, sound, read) if isinstance(path, Path)]
         return GestureVideo(
             subject, speech.frames, speech.seconds, draw, sound, motion, speech,
             inputs=tuple(files), notes=self.notes(speech),

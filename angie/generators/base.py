@@ -166,8 +166,20 @@ class ResamplingGenerator(GestureGenerator, Protocol):
 
     smooth: bool = False
 
-    def generate_own(self, speech: "Speech", start: Motion, frames: int, **options: Any) -> Motion:
-        """`generate` at the generator's own rate; `options` are its keyword arguments."""
+    def generate_own(
+        self,
+        speech: "Speech",
+        start: Motion,
+        frames: int,
+        *,
+        seed: int = 0,
+        speaker: str | None = None,
+        style: str | Tensor | None = None,
+        seed_motion: Motion | None = None,
+        controls: Any = None,
+        greedy: bool | None = False,
+    ) -> Motion:
+        """`generate` at the generator's own rate."""
         ...
 
     def generate(

@@ -26,7 +26,8 @@ def load_model(parts: Parts) -> TriCon:
     words = None
     if config.reads and config.encoder == "vectors":
         tensors = parts.tensors(PART)
-        words = KnownWords(*tensors["words.weight"].shape, len(tensors["words.letters"]))
+        known, width = tensors["words.weight"].shape
+        words = KnownWords(known, width, len(tensors["words.letters"]))
     model: TriCon = parts.load(PART, TriCon(config, len(parts.statistics().speakers), words))
     return model
 
@@ -164,17 +165,18 @@ class TriConGenerator(ResamplingGenerator):
             return torch.zeros(0)
         rng = torch.Generator().manual_seed(seed)
         names = self.statistics.speakers
+        meant: dict[str, float] | Tensor
         if style is None:
             drawn = int(torch.randint(len(names), (), generator=rng))
-            style = dict.fromkeys(names, 1.0) if greedy else {names[drawn]: 1.0}
-        elif isinstance(style, str):
-            style = read_style(style, names, size)
-        if isinstance(style, Tensor):
-            if style.shape != (size,):
+            meant = dict.fromkeys(names, 1.0) if greedy else {names[drawn]: 1.0}
+        else:
+            meant = read_style(style, names, size) if isinstance(style, str) else style
+        if isinstance(meant, Tensor):
+            if meant.shape != (size,):
                 raise BadInput(f"--style: a point of the style space has {size} numbers")
-            return style.float()
-        total = sum(style.values())
-        weights = torch.tensor([style.get(name, 0.0) / total for name in names])
+            return meant.float()
+        total = sum(meant.values())
+        weights = torch.tensor([meant.get(name, 0.0) / total for name in names])
         means, log_variances = self.model.styles(torch.arange(len(names)))
         noise = torch.zeros(size) if greedy else torch.randn(size, generator=rng)
         return weights @ (means + (0.5 * log_variances).exp() * noise)
