@@ -167,3 +167,20 @@ def test_presets():
 def test_sizes_that_cannot_be(change):
     with pytest.raises(ValueError):
         replace(CONFIG, **change)
+
+
+def test_a_step_of_the_paper_s_sizes():
+    torch.manual_seed(0)
+    config = TriConSettings().model
+    model = TriCon(config, 2)
+    assert 22e6 < numbers_of(model) < 23e6  # 15 of them for the parts of words
+    words = torch.zeros(2, 34, dtype=torch.int64)
+    words[:, 5] = 1
+    speaker = torch.tensor([0, 1])
+    made = model(
+        seeded(torch.zeros(2, 4, 100), 34), torch.randn(2, 36_267), words,
+        model.words.rows(["idea"]), speaker, speaker.flip(0),
+    )  # fmt: skip
+    assert made.pose.shape == (2, 34, 100)
+    made.pose.square().mean().backward()
+    assert all(p.grad is not None and p.grad.isfinite().all() for p in model.parameters())
