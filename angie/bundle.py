@@ -27,7 +27,6 @@ from pathlib import Path
 from typing import Any
 
 from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import Tensor
 
 from angie import __version__
@@ -49,7 +48,7 @@ from angie.parts import (
 from data_prep.errors import BadInput
 from data_prep.files import sha256, whole_file
 from data_prep.rates import FPS, IMAGE_SIZE
-from data_prep.tensors import save_tensors
+from data_prep.tensors import load_tensors, save_tensors
 from mraa.avd import AvdNetwork
 from mraa.renderer import Renderer, make_avd
 
@@ -285,7 +284,7 @@ class Bundle:
         """
         path = self.path_of(part)
         try:
-            return load_file(path)
+            return load_tensors(path)
         except SafetensorError as error:
             raise BadInput(f"{path}: does not fit the sizes in bundle.json") from error
 

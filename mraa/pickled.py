@@ -42,11 +42,11 @@ def _cause(path: Path, error: Exception) -> str:
     with path.open("rb") as file:
         head = file.read(len(_MAGIC))
     if head[:4] == b"PK\x03\x04":
-        if not zipfile.is_zipfile(path):
+        names = _names(path)
+        if names is None:
             return f"it is cut short (after {size} bytes); download or copy it again"
-        with zipfile.ZipFile(path) as archive:
-            if not any(name.endswith("data.pkl") for name in archive.namelist()):
-                return "it is a ZIP archive of other things; name the .pth in it"
+        if not any(name.endswith("data.pkl") for name in names):
+            return "it is a ZIP archive of other things; name the .pth in it"
     elif int.from_bytes(head[:8], "little") < size and head[8:9] == b"{":
         return "it is a safetensors file under another name; name it .safetensors"
     elif head != _MAGIC[:size]:
@@ -57,6 +57,15 @@ def _cause(path: Path, error: Exception) -> str:
     if isinstance(error, EOFError) or "unexpected EOF" in str(error) or _is_cut(path):
         return f"it is cut short (after {size} bytes); download or copy it again"
     return f"it is damaged ({type(error).__name__}); download or copy it again"
+
+
+def _names(path: Path) -> list[str] | None:
+    """Names in a ZIP archive; None where its end, which lists them, is missing or damaged."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return archive.namelist()
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+        return None
 
 
 def _is_cut(path: Path) -> bool:

@@ -8,6 +8,7 @@ import yaml
 from torch import Tensor
 
 from data_prep.errors import BadInput
+from data_prep.media.container import check_file
 from mraa.flow import PARAMETERS
 from mraa.renderer import GeneratorConfig, HourglassConfig, RendererConfig
 
@@ -95,9 +96,10 @@ def read_params(path: Path) -> tuple[dict[str, Any], int]:
     Raises:
         BadInput: missing, unreadable, or another kind of configuration.
     """
+    check_file(path)
     try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        content = yaml.safe_load(Path(path).read_bytes())
+    except (OSError, yaml.YAMLError, ValueError, RecursionError) as error:
         reason = getattr(error, "strerror", None) or "it is no YAML"
         raise BadInput(f"{path}: cannot be read ({reason})") from error
     params = content.get("model_params", content) if isinstance(content, dict) else None

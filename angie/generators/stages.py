@@ -4,12 +4,12 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from safetensors import safe_open
-from safetensors.torch import load_file
+from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from angie.motion.clips import MotionClip
@@ -18,7 +18,7 @@ from angie.motion.windows import STRIDE, WINDOW, MotionWindows, other_grids
 from data_prep.errors import BadInput
 from data_prep.files import whole_file
 from data_prep.rates import FPS
-from data_prep.tensors import save_tensors
+from data_prep.tensors import load_tensors, open_tensors, save_tensors
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -154,9 +154,9 @@ class StageContext:
         """
         path = self.folder / f"{name}.safetensors"
         if path.is_file():
-            with safe_open(path, framework="pt") as file:
+            with suppress(SafetensorError), open_tensors(path) as file:  # damaged: made again
                 if (file.metadata() or {}).get("identity") == self.run.identity:
-                    return load_file(path)
+                    return load_tensors(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         made = {key: value.contiguous().cpu() for key, value in make().items()}
         if int(os.environ.get("LOCAL_RANK", "0")) == 0:  # the same in every process

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from data_prep.errors import BadInput
-from data_prep.tensors import save_tensors
+from data_prep.tensors import open_tensors, save_tensors
 
 if TYPE_CHECKING:
     from mraa.training.run import Run
@@ -253,7 +253,7 @@ def load_autoencoder(path: Path) -> StoredAutoencoder:
         BadInput: missing, damaged, no auto-encoder, or of a newer format.
     """
     try:
-        with safe_open(path, framework="pt") as file:
+        with open_tensors(path) as file:
             about = json.loads((file.metadata() or {})[KEY])
             if about["format"] != FORMAT:
                 raise BadInput(f"{path}: made by a newer angie; update angie")

@@ -182,7 +182,11 @@ class KeypointDataset:
 
     def _sound_file(self, name: str) -> Path:
         found = sorted((self.path / "audio").glob(f"{glob.escape(name)}.*"))
-        paths = [path for path in found if path.stem == name and path.suffix not in NO_SOUND]
+        paths = [
+            path
+            for path in found
+            if path.stem == name and path.suffix not in NO_SOUND and path.is_file()
+        ]
         if not paths:
             raise BadInput(f"{self.path}: audio/{name}.wav is missing")
         if len(paths) > 1:

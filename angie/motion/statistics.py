@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from torch import Tensor
 
 from angie.motion.clips import MotionClip
 from data_prep.errors import BadInput
 from data_prep.speech.features import MFCC_COLUMNS
-from data_prep.tensors import save_tensors
+from data_prep.tensors import open_tensors, save_tensors
 from mraa.motion import deltas, pack_covariance
 
 BEAT_COLUMN = 41
@@ -145,7 +145,7 @@ class MotionStatistics:
             BadInput: missing, not a statistics file, or of a newer format.
         """
         try:
-            with safe_open(path, framework="pt") as file:
+            with open_tensors(path) as file:
                 about = file.metadata() or {}
                 if about.get("format") != "1":
                     raise BadInput(f"{path}: unknown format of statistics; update the program")

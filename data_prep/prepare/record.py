@@ -133,8 +133,10 @@ def write_record(folder: Path, record: Record) -> None:
 
 def read_record(path: Path) -> Record | None:
     """Read a record; None where it is of another version or damaged (its source is done again)."""
+    if not path.is_file():
+        return None
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_bytes())
         record = _record(content)
     except (OSError, ValueError, KeyError, TypeError):
         return None

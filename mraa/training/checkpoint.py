@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from data_prep.errors import BadInput
 from data_prep.files import whole_file
-from data_prep.tensors import save_tensors
+from data_prep.tensors import open_tensors, save_tensors
 
 FORMAT = "2"
 """Several named models and optimisers; before, a file held one of each."""
@@ -108,7 +108,7 @@ class Checkpoint:
         self.path = Path(path)
         self._tensors: dict[str, Tensor] = {}
         try:
-            with safe_open(path, framework="pt") as file:
+            with open_tensors(path) as file:
                 self._notes = dict(file.metadata() or {})
                 if self._notes.get("format") != FORMAT:
                     raise BadInput(

@@ -11,13 +11,13 @@ from typing import Any, cast
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 
 from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
 from data_prep.rates import IMAGE_SIZE
+from data_prep.tensors import load_tensors
 from mraa.blocks import AntiAliasDown
 from mraa.perceptual import PerceptualPyramid
 from mraa.regions import RegionEstimator
@@ -43,7 +43,7 @@ def load_initial(renderer: Renderer, path: Path) -> None:
         BadInput: missing, unreadable, or of other sizes.
     """
     try:
-        given = load_file(path)
+        given = load_tensors(path)
     except (OSError, SafetensorError) as error:
         reason = str(error).splitlines()[0]
         raise BadInput(f"{path}: not the weights of a renderer ({reason})") from error

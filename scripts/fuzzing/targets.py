@@ -1,6 +1,6 @@
 """Every file that the program reads: how a small one is made, and what reads it."""
 
-import hashlib
+import contextlib
 import itertools
 import json
 import shutil
@@ -11,9 +11,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import soundfile
+import yaml
 from PIL import Image
 
 from data_prep.dataset import COLUMNS, Dataset, encode_frame, write_frames
+from data_prep.errors import BadInput
 from data_prep.media.audio import read_sound, write_wav
 from data_prep.media.photo import read_photo
 from data_prep.media.video import probe, read_frames, read_grey
@@ -175,17 +177,21 @@ def heavy() -> dict[str, Target]:
     import torch
 
     from angie.bundle import BUNDLE, Bundle
-    from angie.config import Preset, override, parse_overrides
+    from angie.config import override, parse_overrides, preset
     from angie.evaluation.space import _joints_of
-    from angie.metrics.autoencoder import load_autoencoder
+    from angie.metrics.autoencoder import (
+        MotionAutoencoder,
+        MotionScale,
+        load_autoencoder,
+        save_autoencoder,
+    )
     from angie.motion.keypoints import KeypointDataset
     from angie.motion.statistics import MotionStatistics
     from data_prep.dataset import Clip
     from data_prep.tensors import save_tensors
     from mraa.motion import Motion, read_motion, write_motion
-    from mraa.pickled import load_pickled
     from mraa.released import read_checkpoint
-    from mraa.released_sizes import params_from_tensors, read_params
+    from mraa.released_sizes import config_from_released, params_from_tensors, read_params
     from mraa.training.checkpoint import Checkpoint
 
     def bundle(folder: Path) -> list[Path]:
@@ -195,21 +201,36 @@ def heavy() -> dict[str, Target]:
 
     def read_bundle(folder: Path) -> None:
         opened = Bundle.open(folder)
-        entry = opened.manifest["parts"].get("statistics")
-        path = folder / "statistics.safetensors"
-        if entry and path.is_file() and path.stat().st_size:  # as if the hash were right
-            entry["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
-        opened.statistics()
-        opened.has("angie.vq")
+        for part in opened.parts:
+            opened.has(part)
+        for name in opened.generators:
+            opened.settings(name)
+        opened.write()
 
     def settings(folder: Path) -> list[Path]:
-        text = "renderer:\n  regions: 5\ntrain_vq:\n  schedule:\n    rate: 0.001\nvq:\n  codes: 8\n"
+        text = "renderer:\n  regions: 5\ntrain_vq:\n  schedule:\n    rate: 0.001\ngpt:\n"
+        text += "  dropout: 0.2\n"
         (folder / "a.yaml").write_text(text)
         return [folder / "a.yaml"]
 
+    def read_settings(folder: Path) -> None:
+        override(preset("tiny"), parse_overrides([str(folder / "a.yaml")]))
+
     def params(folder: Path) -> list[Path]:
-        text = "model_params:\n  num_regions: 5\n  num_channels: 3\n  estimate_affine: True\n"
-        (folder / "a.yaml").write_text(text + "dataset_params:\n  frame_shape: [64, 64, 3]\n")
+        sizes = {"block_expansion": 8, "max_features": 32, "num_blocks": 2, "scale_factor": 0.25}
+        flags = {"use_deformed_source": True, "use_covar_heatmap": True}
+        flow = {**sizes, **flags, "estimate_occlusion_map": True}
+        generator = {**sizes, "num_down_blocks": 2, "num_bottleneck_blocks": 2, "skips": True}
+        content = {
+            "num_regions": 5, "num_channels": 3, "estimate_affine": True, "revert_axis_swap": True,
+            "region_predictor_params": {**sizes, "temperature": 0.1, "pca_based": True},
+            "bg_predictor_params": {**sizes, "bg_type": "affine"},
+            "generator_params": {**generator, "pixelwise_flow_predictor_params": flow},
+            "avd_network_params": {"id_bottle_size": 16, "pose_bottle_size": 16},
+        }  # fmt: skip
+        shape = {"frame_shape": [64, 64, 3]}
+        text = yaml.safe_dump({"model_params": content, "dataset_params": shape})
+        (folder / "a.yaml").write_text(text)
         return [folder / "a.yaml"]
 
     def motion(folder: Path) -> list[Path]:
@@ -223,11 +244,13 @@ def heavy() -> dict[str, Target]:
         return [folder / "a.pth"]
 
     def read_pth(folder: Path) -> None:
-        load_pickled(folder / "a.pth")
-        params_from_tensors(read_checkpoint(folder / "a.pth"))
+        parts = read_checkpoint(folder / "a.pth")
+        with contextlib.suppress(BadInput):  # it is not whole
+            params_from_tensors(parts)
 
     def checkpoint(folder: Path) -> list[Path]:
-        notes = {"format": "2", "step": "3", "identity": "x", "best": "{}", "scaler": "{}"}
+        best = '{"score": null, "latest": null, "age": 0, "patience": 0}'
+        notes = {"format": "2", "step": "3", "identity": "x", "best": best, "scaler": "{}"}
         save_tensors(folder / "a.safetensors", {"model.a.w": torch.zeros(4)}, notes)
         return [folder / "a.safetensors"]
 
@@ -255,8 +278,8 @@ def heavy() -> dict[str, Target]:
         _joints_of(folder / "a.npz", Clip("a", "ann", "test", "a", 0.0, 10), source)
 
     def autoencoder(folder: Path) -> list[Path]:
-        tensors = {"rest": torch.zeros(4), "scale": torch.ones(4)}
-        save_tensors(folder / "a.safetensors", tensors, {"angie": "{}"})
+        scale = MotionScale(("ann",), np.zeros((1, 4)), np.ones(4))
+        save_autoencoder(folder / "a.safetensors", MotionAutoencoder(4, 16), scale, "x", 25.0)
         return [folder / "a.safetensors"]
 
     return {
@@ -264,10 +287,10 @@ def heavy() -> dict[str, Target]:
         "statistics": Target(
             bundle, lambda f: MotionStatistics.load(f / "statistics.safetensors"), False
         ),
-        "settings": Target(
-            settings, lambda f: override(Preset(), parse_overrides([str(f / "a.yaml")])), False
+        "settings": Target(settings, read_settings, False),
+        "MRAA's settings": Target(
+            params, lambda f: config_from_released(read_params(f / "a.yaml")[0]), False
         ),
-        "MRAA's settings": Target(params, lambda f: read_params(f / "a.yaml"), False),
         "motion": Target(motion, lambda f: read_motion(f / "a.npz"), False),
         "released checkpoint": Target(pth, read_pth, False),
         "training checkpoint": Target(checkpoint, lambda f: Checkpoint(f / "a.safetensors"), False),
