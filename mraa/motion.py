@@ -17,7 +17,7 @@ from torch import Tensor
 
 from data_prep.arrays import read_arrays
 from data_prep.errors import BadInput
-from mraa.affine import EPSILON, decode_cholesky
+from mraa.affine import EPSILON, affine_from_covariance, decode_cholesky
 
 FLOOR = 0.3
 CEILING = 1.5
@@ -97,6 +97,12 @@ def pack_covariance(covariance: Tensor) -> Tensor:
     """Covariances (..., T, K, 2, 2) as (..., T, 3K): c11, c12, c22 of each region."""
     parts = [covariance[..., 0, 0], covariance[..., 1, 0], covariance[..., 1, 1]]
     return torch.stack(parts, dim=-1).flatten(-2)
+
+
+def pack_extents(covariance: Tensor) -> Tensor:
+    """Covariances (..., T, K, 2, 2) and their roots A = U sqrt(S) as (..., T, 7K): C, then A."""
+    affine = affine_from_covariance(covariance, "svd").flatten(-3)
+    return torch.cat([pack_covariance(covariance), affine], dim=-1)
 
 
 def unpack_covariance(packed: Tensor) -> Tensor:

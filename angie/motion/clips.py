@@ -40,7 +40,9 @@ class MotionClip:
             )
 
 
-def begun_later(clip: MotionClip, samples: NDArray, frames: int) -> MotionClip:
+def begun_later(
+    clip: MotionClip, samples: NDArray, frames: int, sound: str = "onset"
+) -> MotionClip:
     """A clip without its first frames; tokens are counted from where it begins now.
 
     Unless `frames` is a multiple of 8, the same motion and sound give other codes and onset rows.
@@ -49,6 +51,7 @@ def begun_later(clip: MotionClip, samples: NDArray, frames: int) -> MotionClip:
         clip: longer than `frames`.
         samples: (N,) float32, its sound at 16 kHz.
         frames: left out.
+        sound: name of the feature of its tokens, which is computed.
     """
     times = clip.speech["onset_times"] - np.float32(frames / FPS)
     words = clip.speech.words
@@ -57,7 +60,7 @@ def begun_later(clip: MotionClip, samples: NDArray, frames: int) -> MotionClip:
         None if words is None else slice_words(list(words), frames / FPS, math.inf),
         features={"mfcc": clip.speech["mfcc"][frames:], "onset_times": times[times >= 0]},
     )
-    speech["onset"]
+    speech[sound]
     speech.forget_samples()  # those of all clips would fill the memory
     return MotionClip(f"{clip.name}+{frames}", clip.speaker, clip.motion[frames:], speech)
 

@@ -15,7 +15,7 @@ from angie.motion.clips import MotionClip
 from data_prep.errors import BadInput
 from data_prep.speech.features import MFCC_COLUMNS
 from data_prep.tensors import open_tensors, save_tensors
-from mraa.motion import deltas, pack_covariance
+from mraa.motion import deltas, pack_covariance, pack_extents
 
 BEAT_COLUMN = 41
 """Column of the onset features with the beat one-hot, which is never standardised."""
@@ -72,6 +72,8 @@ class MotionStatistics:
             were written before it existed.
         pose_deviation: (5K,) standard deviation of the absolute pose.
         covariance_scale: (3K,) standard deviation of the change of C, as (c11, c12, c22).
+        extent_mean: (7K,) mean of C (3K) and of A = U sqrt(S) (4K), for the naive scheme.
+        extent_deviation: (7K,) their standard deviation.
         calm: (1,) 10th percentile of the activity of a frame.
         anchors: (n, 5K) displacements in calm frames, n up to 256.
     """
@@ -92,6 +94,8 @@ class MotionStatistics:
     pose_mean: Tensor = field(default_factory=lambda: torch.zeros(0))
     pose_deviation: Tensor = field(default_factory=lambda: torch.zeros(0))
     covariance_scale: Tensor = field(default_factory=lambda: torch.zeros(0))
+    extent_mean: Tensor = field(default_factory=lambda: torch.zeros(0))
+    extent_deviation: Tensor = field(default_factory=lambda: torch.zeros(0))
     calm: Tensor = field(default_factory=lambda: torch.zeros(0))
     anchors: Tensor = field(default_factory=lambda: torch.zeros(0, 0))
 
@@ -128,6 +132,10 @@ class MotionStatistics:
         standard[..., BEAT_COLUMN] = onset[..., BEAT_COLUMN]
         return standard
 
+    def standard_sound(self, name: str, rows: Tensor) -> Tensor:
+        """Standardised rows of a feature of tokens; those of sound as it comes are so already."""
+        return self.standard_onset(rows) if name == "onset" else rows
+
     def standard_mfcc(self, mfcc: Tensor) -> Tensor:
         """Standardise MFCC windows (..., 28, 12) per coefficient."""
         return (mfcc - self.mfcc_mean.to(mfcc)) / self.mfcc_scale.to(mfcc)
@@ -157,7 +165,10 @@ class MotionStatistics:
 
 
 _TENSORS = tuple(entry.name for entry in fields(MotionStatistics) if entry.name != "speakers")
-_LATER = ("pose_mean", "pose_deviation", "covariance_scale", "calm", "anchors")
+_LATER = (
+    "pose_mean", "pose_deviation", "covariance_scale", "extent_mean", "extent_deviation", "calm",
+    "anchors",
+)  # fmt: skip
 
 
 def _scale(values: np.ndarray, least: float) -> np.ndarray:
@@ -186,6 +197,17 @@ def _covariance_scale(clips: Sequence[MotionClip]) -> np.ndarray:
         return np.zeros(0)
     changes = [pack_covariance(clip.motion.covariance()).diff(dim=0) for clip in clips]
     return _scale(torch.cat(changes).numpy(), 1e-7)
+
+
+def _extents(clips: Sequence[MotionClip]) -> dict[str, np.ndarray]:
+    """Mean and standard deviation (7K,) of covariances and their roots; empty for points."""
+    if not clips[0].motion.has_extent:
+        return {"extent_mean": np.zeros(0), "extent_deviation": np.zeros(0)}
+    extents = torch.cat([pack_extents(clip.motion.covariance()) for clip in clips]).numpy()
+    return {
+        "extent_mean": extents.mean(axis=0, dtype=np.float64),
+        "extent_deviation": _scale(extents, 1e-7),
+    }
 
 
 def _calm(
@@ -248,6 +270,7 @@ def measure(clips: Sequence[MotionClip]) -> MotionStatistics:
         "pose_mean": together.mean(axis=0, dtype=np.float64),
         "pose_deviation": _scale(together, 1e-4),
         "covariance_scale": _covariance_scale(clips),
+        **_extents(clips),
         **_calm(poses, displacement, _scale(relative, 1e-5)),
     }
     tensors = {name: torch.from_numpy(value.astype(np.float32)) for name, value in arrays.items()}

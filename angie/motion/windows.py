@@ -45,7 +45,7 @@ def check_stride(stride: int, step: int = 1) -> None:
 
 
 def other_grids(
-    clips: Sequence[MotionClip], sound: Callable[[str], NDArray], grids: int
+    clips: Sequence[MotionClip], sound: Callable[[str], NDArray], grids: int, feature: str = "onset"
 ) -> list[MotionClip]:
     """Clips on other grids of tokens than the one that begins with them.
 
@@ -53,6 +53,7 @@ def other_grids(
         clips: as long as a window.
         sound: gives a clip's sound (N,), float32 at 16 kHz, by its name.
         grids: 1, 2, 4 or 8, the first one among them.
+        feature: of the tokens, computed anew.
 
     Returns:
         the clips begun 8 / grids frames later, twice as much later, and so on below 8, where
@@ -66,7 +67,7 @@ def other_grids(
         for clip in clips:
             samples = sound(clip.name)
             fitting = [first for first in starts if clip.motion.frames - first >= WINDOW]
-            made += [begun_later(clip, samples, first) for first in fitting]
+            made += [begun_later(clip, samples, first, feature) for first in fitting]
             advance()
     return made
 
@@ -77,7 +78,8 @@ class MotionWindows(Dataset[dict[str, Tensor]]):
     Items hold the requested `parts`:
         poses: (97, 5K) absolute motion vectors; row 0 is the frame before the window. At the
             first frame of a clip it repeats that frame, so the first delta is zero.
-        onset: (12, 426) standardised onset features of the window's tokens.
+        onset: (12, 426) standardised onset features of the window's tokens, or another feature
+            of tokens, `sound`.
         mfcc: (96, 28, 12) standardised MFCC windows of its frames.
         speaker: () int64, place of the clip's speaker in the statistics' speakers.
     and one row of every tensor in `rows`. Windows with onsets begin on whole tokens.
@@ -89,6 +91,7 @@ class MotionWindows(Dataset[dict[str, Tensor]]):
         frames: frames T of a window, a multiple of 8.
         stride: frames from window to window; a multiple of 8 if onsets are among the parts.
         rows: tensors (number of windows, ...) with something precomputed for every window.
+        sound: name of the feature of tokens, see `data_prep.speech.features.SOUND_SIZES`.
 
     Raises:
         BadInput: no clip is as long as a window.
@@ -102,11 +105,12 @@ class MotionWindows(Dataset[dict[str, Tensor]]):
         frames: int = WINDOW,
         stride: int = STRIDE,
         rows: dict[str, Tensor] | None = None,
+        sound: str = "onset",
     ) -> None:
         if frames % FRAMES_PER_TOKEN or ("onset" in parts and stride % FRAMES_PER_TOKEN):
             raise ValueError(f"windows end, and with onsets begin, on tokens: {frames}, {stride}")
         self.clips, self.statistics, self.parts = clips, statistics, tuple(parts)
-        self.frames, self.stride, self.rows = frames, stride, rows or {}
+        self.frames, self.stride, self.rows, self.sound = frames, stride, rows or {}, sound
         self.places = [
             (index, first)
             for index, clip in enumerate(clips)
@@ -129,7 +133,7 @@ class MotionWindows(Dataset[dict[str, Tensor]]):
     def choose(self, parts: Sequence[str], **rows: Tensor) -> "MotionWindows":
         """The same windows with other parts and other precomputed rows."""
         chosen = MotionWindows(
-            self.clips, self.statistics, parts, self.frames, self.stride, dict(rows)
+            self.clips, self.statistics, parts, self.frames, self.stride, dict(rows), self.sound
         )
         chosen.places = self.places
         return chosen
@@ -147,8 +151,8 @@ class MotionWindows(Dataset[dict[str, Tensor]]):
 
     def _onset(self, clip: MotionClip, first: int) -> Tensor:
         token, tokens = first // FRAMES_PER_TOKEN, self.frames // FRAMES_PER_TOKEN
-        onset = torch.as_tensor(clip.speech["onset"][token : token + tokens])
-        return self.statistics.standard_onset(onset)
+        rows = torch.as_tensor(clip.speech[self.sound][token : token + tokens])
+        return self.statistics.standard_sound(self.sound, rows)
 
     def _speaker(self, clip: MotionClip, first: int) -> Tensor:
         return torch.tensor(self.statistics.place_of(clip.speaker))
@@ -172,13 +176,16 @@ class MotionWindows(Dataset[dict[str, Tensor]]):
             yield {part: self.stack(part, first, first + at_once) for part in parts}
 
 
-BLENDS = ("linear", "hann")
+BLENDS = ("linear", "hann", "ahead")
 """How windows become one sequence.
 
 "linear": windows every half window, in the middles of whose overlaps one becomes the next.
 "hann": windows every quarter, weighted by a Hann window. The sums of the weights and of their
 squares are then the same at every frame, so that no place of a window shows in the result, at
 twice as many windows. Near both ends of the sequence fewer windows meet.
+"ahead": for sound as it comes. Windows every token, each ending a token after the one that it is
+taken for; in a token the window before fades into its own, so that no frame depends on more than
+the token after its own, nor on more than what a window holds before. Six times as many windows.
 """
 
 
@@ -207,7 +214,7 @@ def window_starts(length: int, window: int, hop: int) -> list[int]:
 def cross_fade(
     length: int,
     window: int,
-    compute: Callable[[list[int]], Tensor],
+    compute: Callable[..., Tensor],
     blend: str = "linear",
     at_once: int = 32,
     fade: int = FADE,
@@ -220,8 +227,9 @@ def cross_fade(
     Args:
         length: frames of the whole sequence, T.
         window: frames of a window; a shorter sequence is one shorter window.
-        compute: from n first frames to the windows' values (n, window, C).
-        blend: "linear" or "hann".
+        compute: from n first frames to the windows' values (n, window, C); under "ahead", where
+            windows at the ends are shorter, their size is the second argument.
+        blend: one of `BLENDS`.
         at_once: most windows in one call of `compute`.
         fade: frames of a linear ramp, in the middle of the overlap.
 
@@ -233,6 +241,8 @@ def cross_fade(
     """
     if blend not in BLENDS:
         raise ValueError(f"blend is one of {', '.join(BLENDS)}, not {blend!r}")
+    if blend == "ahead":
+        return _ahead(length, window, compute, at_once)
     hop = window // (2 if blend == "linear" else 4)
     window = min(window, length)
     starts = window_starts(length, window, min(hop, window))
@@ -250,6 +260,33 @@ def cross_fade(
             weight[first : first + window] += part[:, None]
     assert total is not None  # window_starts refuses an empty sequence
     return total / weight
+
+
+def _ahead(length: int, window: int, compute: Callable[..., Tensor], at_once: int) -> Tensor:
+    """Values (T, C) of windows that end a token after the one they are taken for."""
+    step = FRAMES_PER_TOKEN
+    ends = [first + 2 * step for first in range(0, length, step)]
+    spans = [(max(0, end - window), min(end, length)) for end in ends]
+    values: dict[int, Tensor] = {}
+    made: list[Tensor] = []
+    for number, (begin, end) in enumerate(spans):
+        if number not in values:  # windows of one size are computed together
+            size = end - begin
+            group = [
+                i
+                for i in range(number, min(number + at_once, len(spans)))
+                if spans[i][1] - spans[i][0] == size
+            ]
+            found = compute([spans[i][0] for i in group], size).float().cpu()
+            values |= dict(zip(group, found, strict=True))
+        first, last = number * step, min(number * step + step, length)
+        own = values[number][first - begin : last - begin]
+        if number:
+            before = values.pop(number - 1)[first - spans[number - 1][0] :][: len(own)]
+            share = ((torch.arange(len(own)) + 0.5) / step)[:, None]
+            own = before + share * (own - before)
+        made.append(own)
+    return torch.cat(made)
 
 
 def _faded(starts: list[int], index: int, place: Tensor, fade: int) -> Tensor:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from data_prep.arrays import read_arrays
 from data_prep.errors import BadInput
 from data_prep.rates import FPS, SAMPLE_RATE, frames_covering, tokens_covering
+from data_prep.speech import causal
 from data_prep.speech.spectra import (
     MFCC_COLUMNS,
     MFCC_ROWS,
@@ -27,7 +28,7 @@ from data_prep.speech.words import Word
 
 __all__ = [
     "FEATURES", "MFCC_COLUMNS", "MFCC_ROWS", "ONSET_SIZE", "FeatureFiles", "FeatureStore", "Speech",
-    "mono", "register_feature", "write_features",
+    "SOUND_SIZES", "mono", "register_feature", "write_features",
 ]  # fmt: skip
 
 Compute = Callable[["Speech"], NDArray]
@@ -49,8 +50,9 @@ class Speech:
 
     `speech["onset"]` is `(S, 426)` float32, one row for each token; `speech["mfcc"]` is
     `(T, 28, 12)` float32, one window for each video frame, centred on it; `speech["onset_times"]`
-    is `(n,)` float32, onsets of sounds in seconds; none of them standardised. Further features
-    are added by `register_feature`.
+    is `(n,)` float32, onsets of sounds in seconds; none of them standardised.
+    `speech["onset_causal"]` is `(S, 114)` and `speech["voice_causal"]` `(S,)` float32, of sound as
+    it comes (`data_prep.speech.causal`). Further features are added by `register_feature`.
 
     Attributes:
         words: the words with their times in seconds, or None where they are not known.
@@ -177,8 +179,14 @@ FEATURES: dict[str, Compute] = {
     "onset": lambda speech: onset_rows(speech.samples),
     "mfcc": lambda speech: mfcc_windows(speech.samples),
     "onset_times": lambda speech: onset_times(speech.samples),
+    "onset_causal": lambda speech: causal.onset_rows_causal(speech.samples),
+    "voice_causal": lambda speech: causal.voice_causal(speech.samples),
 }
 """How each feature is computed."""
+
+SOUND_SIZES = {"onset": ONSET_SIZE, "onset_causal": causal.ONSET_SIZE}
+"""Columns of the features that have a row for each token: of the whole recording (the paper's), and
+of sound as it comes (`data_prep.speech.causal`)."""
 
 PREPARED = ("onset", "mfcc", "onset_times")
 """Features that every prepared clip has."""

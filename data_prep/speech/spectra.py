@@ -207,7 +207,7 @@ def mfcc_windows(samples: NDArray) -> NDArray:
 
 
 @functools.cache
-def _mel_filters() -> NDArray:
+def mel_filters() -> NDArray:
     """Triangles `(_FILTERS, _MFCC_FFT // 2 + 1)` between equally spaced points of the mel scale."""
     top = 2595 * np.log10(1 + SAMPLE_RATE / 2 / 700)
     hertz = 700 * (10 ** (np.linspace(0, top, _FILTERS + 2) / 2595) - 1)
@@ -254,7 +254,7 @@ def _cepstra(samples: NDArray, begin: int, count: int, after: int) -> NDArray:
     windows = np.lib.stride_tricks.sliding_window_view(shaped, WINDOW)[::MFCC_HOP]
     power = np.abs(np.fft.rfft(windows, _MFCC_FFT)) ** 2 / _MFCC_FFT  # (count, 257)
     energy = np.maximum(power.sum(axis=1), _FLOOR)
-    bands = np.maximum(power @ _mel_filters().T, _FLOOR)
+    bands = np.maximum(power @ mel_filters().T, _FLOOR)
     result = dct(np.log(bands), type=2, axis=1, norm="ortho")[:, :_COEFFICIENTS]
     order = np.arange(_COEFFICIENTS)
     result *= 1 + _LIFTER / 2 * np.sin(np.pi * order / _LIFTER)

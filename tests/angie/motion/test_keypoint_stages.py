@@ -41,7 +41,7 @@ def test_the_gpt_and_what_stands_in_its_place_learn_on_the_grids_asked_for(
 ):
     asked = []
 
-    def windows(self, stride, grids=1):
+    def windows(self, stride, grids=1, sound="onset"):
         asked.append((stride, grids))
         raise InterruptedError
 

@@ -12,13 +12,13 @@ def test_windows_cover_to_the_very_end():
         window_starts(0, 4, 2)
 
 
-@pytest.mark.parametrize("how", [{"fade": 4}, {"fade": 16}, {"blend": "hann"}])
+@pytest.mark.parametrize("how", [{"fade": 4}, {"fade": 16}, {"blend": "hann"}, {"blend": "ahead"}])
 @pytest.mark.parametrize("length", [1, 5, 96, 97, 150, 1000])
 def test_windows_that_agree_are_reproduced(length, how):
     truth = torch.randn(length, 3)
-    size = min(96, length)
+    whole = min(96, length)
 
-    def compute(starts):
+    def compute(starts, size=whole):
         return torch.stack([truth[at : at + size] for at in starts])
 
     assert torch.allclose(cross_fade(length, 96, compute, at_once=2, **how), truth, atol=1e-5)
@@ -57,6 +57,16 @@ def test_the_last_window_fades_as_shortly_however_far_it_reaches_back(length):
     assert between.sum() <= 17 * (len(places) - 1)
     longest = max(len(run) for run in "".join("x" if b else " " for b in between).split())
     assert longest <= 17
+
+
+def test_ahead_windows_end_a_token_later_and_fade_within_a_token():
+    # of each window its end, 8 times the number of its token and 16, but for the last one
+    def compute(starts, size):
+        return torch.stack([torch.full((size, 1), float(at + size)) for at in starts])
+
+    made = cross_fade(40, 24, compute, "ahead")[:, 0]
+    assert (made[:8] == 16).all() and made[8:16].tolist() == [16.5 + i for i in range(8)]
+    assert made[24:32].tolist() == [32.5 + i for i in range(8)] and (made[32:] == 40).all()
 
 
 def test_an_unknown_blend_is_refused():
