@@ -197,7 +197,7 @@ class Bundle:
     def upstream(self, part: str) -> list[str]:
         """Parts of this bundle that a part is trained on."""
         there = self.parts
-        return [name for name in upstream_of(part) if name in there]
+        return [name for name in upstream_of(part, self.preset) if name in there]
 
     def has(self, part: str) -> bool:
         """Whether a part is whole, of the present sizes, and trained on the present parts."""

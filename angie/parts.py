@@ -40,12 +40,13 @@ def stage_of(part: str) -> tuple[Family, Stage]:
     return found, found.stage(name)
 
 
-def upstream_of(part: str) -> list[str]:
+def upstream_of(part: str, preset: Preset) -> list[str]:
     """Parts that a part is trained on."""
     if part in UPSTREAM:
         return list(UPSTREAM[part])
     found, stage = stage_of(part)
-    return [need if need in UPSTREAM else f"{found.name}.{need}" for need in stage.needs]
+    needs = (*stage.needs, *stage.more(preset.settings(found.name)))
+    return [need if need in UPSTREAM else f"{found.name}.{need}" for need in needs]
 
 
 def stage_options(part: str) -> str:

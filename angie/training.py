@@ -138,8 +138,10 @@ class Trainer:
 
     def generator(self, family: Family, stage: Stage) -> None:
         """Train a stage of a generator."""
-        trained = stage.train(self.context(family, stage))
-        self.publish(f"{family.name}.{stage.name}", lambda: trained.tensors, **trained.report)
+        context = self.context(family, stage)
+        trained = stage.train(context)
+        report = trained.report | ({"steps": context.steps} if context.steps else {})
+        self.publish(f"{family.name}.{stage.name}", lambda: trained.tensors, **report)
 
     def context(self, family: Family, stage: Stage) -> StageContext:
         """What a stage of a generator is given."""

@@ -272,10 +272,12 @@ class Variant:
     Attributes:
         change: the settings of the variant from those of the family.
         parts_of: a variant whose parts serve this one as well; None trains its own.
+        several: whether it is one of those that a comparison trains with several seeds.
     """
 
     change: Callable[[Any], Any]
     parts_of: str | None = None
+    several: bool = False
 
 
 @dataclass(frozen=True)

@@ -89,6 +89,7 @@ class StageContext:
         run: device, precision, and the identity of what is trained on what.
         resume: go on from the checkpoint in `folder`.
         place: the dataset, for messages.
+        begun: the run of this stage.
     """
 
     stage: str
@@ -102,13 +103,20 @@ class StageContext:
     run: "RunConfig"
     resume: bool
     place: Path
+    begun: "Run | None" = None
+
+    @property
+    def steps(self) -> int:
+        """Steps after which the training run of this stage ended; 0 where there was none."""
+        return 0 if self.begun is None else self.begun.step
 
     def begin(self, steps: int, **options: Any) -> "Run":
         """The training run of this stage; `options` are those of `Run`."""
         from mraa.training.run import Run
 
         options = {"seed": self.seed, "config": self.run, "resume": self.resume, **options}
-        return Run(self.folder, self.stage, steps=steps, **options)
+        self.begun = Run(self.folder, self.stage, steps=steps, **options)
+        return self.begun
 
     def clips(self, frames: int = WINDOW) -> tuple[list[MotionClip], list[MotionClip]]:
         """Training clips, and others to choose weights by, of at least `frames` frames.
@@ -131,21 +139,22 @@ class StageContext:
         return train, kept
 
     def windows(
-        self, stride: int = STRIDE, grids: int = 1
+        self, stride: int = STRIDE, grids: int = 1, sound: str = "onset"
     ) -> tuple[MotionWindows, MotionWindows | None]:
         """Training windows of 96 frames, and those of other clips to choose weights by, if any.
 
         Args:
             stride: frames from one training window to the next; the others are 32 apart.
             grids: of tokens, on which training clips are read; see `other_grids`.
+            sound: name of the feature of tokens.
 
         Raises:
             BadInput: no clip is as long as a window.
         """
         train, kept = self.clips()
-        train = [*train, *other_grids(train, self.sound, grids)]
-        windows = MotionWindows(train, self.statistics, stride=stride)
-        return windows, MotionWindows(kept, self.statistics) if kept else None
+        train = [*train, *other_grids(train, self.sound, grids, sound)]
+        windows = MotionWindows(train, self.statistics, stride=stride, sound=sound)
+        return windows, MotionWindows(kept, self.statistics, sound=sound) if kept else None
 
     def cached(self, name: str, make: Callable[[], Mapping[str, Tensor]]) -> dict[str, Tensor]:
         """An artefact between stages, such as tokens: made once, and anew if its origin changes.
@@ -192,6 +201,7 @@ class Stage:
             trained; None where there is nothing to build.
         wanted: whether there is such a stage under these settings.
         resumes: further settings that a training cannot be resumed across.
+        more: further stages that the part is trained on under these settings.
     """
 
     name: str
@@ -201,6 +211,7 @@ class Stage:
     build: Callable[[Any], nn.Module] | None = None
     wanted: Callable[[Any], bool] = always
     resumes: Callable[[Any], Mapping[str, Any]] = lambda settings: {}
+    more: Callable[[Any], tuple[str, ...]] = lambda settings: ()
 
 
 def plain(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -71,6 +71,14 @@ UPDATES = ("ema", "loss")
 IDLE_STEPS = 100
 """With `update="loss"`, entries unused for this many steps restart, every this many steps."""
 
+RESTART_BELOW = 0.1
+"""Moving count of vectors a step below which an entry restarts under `update="ema"`.
+
+ANGIE's 32 windows of 12 tokens give 512 entries 0.75 vectors a step each. At 1.0, Bailando's
+threshold for 960 vectors, half of the entries of a codebook that has found its clusters are redrawn
+at every step, for ever; at 0.1 hardly any is (`scripts/check_codebook.py`).
+"""
+
 
 @dataclass
 class Quantized:
@@ -132,15 +140,18 @@ class Codebook(nn.Module):
     of the vectors assigned to them, and an entry whose moving count falls below `restart_below`
     restarts at a random vector of the batch. Under `loss` the entries are a parameter with the
     gradient of `Quantized.latent` (ANGIE, equation 9), and every 100 steps the entries unused for
-    100 steps restart. All that changes is in buffers and parameters, always float32; under
-    distributed training counts and sums are added over the processes.
+    100 steps restart: an entry in use never does. All that changes is in buffers and parameters,
+    always float32; under distributed training counts and sums are added over the processes.
 
     Args:
         codes: entries V.
         width: numbers W of an entry.
         update: "ema" or "loss".
         decay: of the moving averages.
-        restart_below: moving count of vectors a step below which an entry restarts.
+        restart_below: moving count of vectors a step below which an entry restarts under "ema".
+
+    Attributes:
+        restarted: entries that restarted in the last step.
     """
 
     entries: Tensor
@@ -157,7 +168,7 @@ class Codebook(nn.Module):
         width: int,
         update: str = "ema",
         decay: float = 0.99,
-        restart_below: float = 1.0,
+        restart_below: float = RESTART_BELOW,
     ) -> None:
         super().__init__()
         if update not in UPDATES:
@@ -165,6 +176,7 @@ class Codebook(nn.Module):
         if not 0 <= decay < 1:
             raise ValueError(f"decay lies between 0 and 1, not {decay}")
         self.update, self.decay, self.restart_below = update, decay, restart_below
+        self.restarted = torch.zeros((), dtype=torch.int64)
         entries = torch.randn(codes, width) / width**0.5
         if update == "ema":
             self.register_buffer("entries", entries)
@@ -260,8 +272,10 @@ class Codebook(nn.Module):
             self.entries.copy_(torch.where(dead.unsqueeze(-1), candidates, means))
             self.sums.copy_(torch.where(dead.unsqueeze(-1), candidates, self.sums))
             self.counts.masked_fill_(dead, max(1.0, self.restart_below))
+            self.restarted = dead.sum()
             return
         self.idle.add_(1).masked_fill_(batch_counts > 0, 0)
         due = (self.steps % IDLE_STEPS == 0) & (self.idle >= IDLE_STEPS)
         self.entries.copy_(torch.where(due.unsqueeze(-1), candidates, self.entries))
         self.idle.masked_fill_(due, 0)
+        self.restarted = due.sum()

@@ -65,8 +65,9 @@ class RendererTraining:
     teacher: str = ""
     """A bundle whose region estimator, frozen, says where the regions are (knowledge distillation,
     as ANGIE has it); it has to have as many regions, of whatever other sizes it is."""
-    distill_weight: float = 0.0
-    """Weight of |mu - mu_T| + |L - L_T|, means over both frames, with a teacher."""
+    distill_weight: float = 10.0
+    """Weight of |mu - mu_T| + |L - L_T|, means over both frames, where there is a teacher; the
+    paper states none, this is the weight of the equivariance."""
     freeze_estimator: bool = False
     """Not in the paper: keep the region estimator as it is (a teacher); no equivariance losses."""
     sheet_every: int = 500
@@ -97,8 +98,8 @@ class RendererTraining:
             raise ValueError(f"batch {self.batch} does not divide into {self.accumulate} parts")
         if not 0 <= self.ema < 1 or self.distill_weight < 0:
             raise ValueError("ema must lie in [0, 1), distill_weight not be negative")
-        if bool(self.teacher) != (self.distill_weight > 0):
-            raise ValueError("teacher and distill_weight belong together")
+        if self.teacher and not self.distill_weight:
+            raise ValueError("a teacher needs a distill_weight above 0")
         if self.teacher and self.freeze_estimator:
             raise ValueError("a frozen estimator learns nothing from a teacher")
         if not 0 < self.rate < 1 or not all(0 <= beta < 1 for beta in self.betas):

@@ -3,24 +3,104 @@ import json
 
 import pytest
 
-from angie.config import PRESETS, Preset, override, parse_overrides, preset, stored
-from angie.generators.angie.settings import AngieSettings
+from angie.config import PRESETS, override, parse_overrides, preset, stored
+from angie.parts import upstream_of
 from data_prep.errors import BadInput
+
+# Typed from the papers and the code their authors released, not from this project's settings.
+ANGIE = {  # NeurIPS 2022, sections 3.2 to 4; what it leaves open is Bailando's
+    "renderer.regions": 20,
+    "angie.vq": dict(
+        regions=20, codes=512, code_width=512, width=512, streams=2, quant="full",
+        update="loss", decay=0.99, restart_below=0.1, context="window",
+    ),
+    "angie.train_vq": dict(
+        commitment=0.1, latent=1.0, stride=32, path_loss=0.0, path_loss_norm="absolute",
+        warmup=0.0, checks=50,
+    ),
+    "angie.train_vq.schedule": dict(
+        rate=3e-5, betas=(0.5, 0.999), batch=32, epochs=500, milestones=(), most_steps=0, clip=1.0,
+    ),
+    "angie.gpt": dict(
+        codes=512, onset=426, width=768, heads=12, layers=12, block=11, dropout=0.1, streams=2,
+        joint=False, sound="onset",
+    ),
+    "angie.train_gpt": dict(stride=32, grids=1, checks=100, patience=20),
+    "angie.train_gpt.schedule": dict(
+        rate=3e-4, betas=(0.5, 0.999), batch=32, epochs=500, milestones=(250, 400), most_steps=0,
+        clip=1.0,
+    ),
+    "angie.refiner": dict(
+        regions=20, sound=256, motion=128, hidden=256, layers=2, dropout=0.1, streams=2,
+        sees="pose",
+    ),
+    "angie.train_refiner": dict(pattern="gpt", drifting=0.0, velocity=0.0, stride=32, checks=50),
+    "angie.train_refiner.schedule": dict(
+        rate=1e-4, betas=(0.9, 0.999), batch=32, epochs=100, milestones=(), most_steps=0, clip=1.0,
+    ),
+    "angie.generation": dict(
+        bounding="off", decode="full", blend="linear", refine=True, reanchor=False,
+        render_floor=False,
+    ),
+    "angie.generation.sampling": dict(
+        method="greedy", k=20, temperature=1.0, repeat_guard=False, calm=False,
+        voice="recording",
+    ),
+    "angie.generation.window": dict(move="slide", context=6),
+}  # fmt: skip
+MRAA = {  # CVPR 2021 and its configuration for 256x256
+    "renderer": dict(
+        estimator_scale=0.25, temperature=0.1, heatmap_padding=0, background_kind="affine",
+        background_scale=1.0, flow_scale=0.25, skips=True, avd_id_width=64, avd_pose_width=64,
+        affine_mode="svd", covariance_floor=1e-4, align_corners=True, revert_axis_swap=True,
+    ),
+    "renderer.estimator": dict(width=32, blocks=5, max_width=1024),
+    "renderer.background": dict(width=32, blocks=5, max_width=1024),
+    "renderer.flow": dict(width=64, blocks=5, max_width=1024),
+    "renderer.generator": dict(
+        design="paper", width=64, max_width=512, down_blocks=2, bottleneck_blocks=6,
+        refine_blocks=2, half_blocks=0, fine_occlusion=False,
+    ),
+    "train_renderer": dict(
+        epochs=100, repeats=75, steps=0, batch=14, accumulate=1, ema=0.0, rate=2e-4,
+        betas=(0.5, 0.999), milestones=(0.6, 0.9), perceptual_backend="auto",
+        perceptual_weights="", perceptual_width=32, perceptual_scales=(1.0, 0.5, 0.25, 0.125),
+        perceptual=10.0, equivariance_shift=10.0, equivariance_affine=10.0, occlusion_cost=0.0,
+        blend=0.0, clip=10.0, initial="", teacher="", distill_weight=10.0,
+        freeze_estimator=False, sheet_every=500, warmup_steps=0, warmup_size=128, warmup_gap=12,
+    ),
+    "train_renderer.augmentation": dict(
+        time_flip=0.5, horizontal_flip=0.5, brightness=0.1, contrast=0.1, saturation=0.1, hue=0.1,
+        zoom=0.0,
+    ),
+    "train_avd": dict(repeats=150, scale=0.25, with_all=False),
+    "train_avd.schedule": dict(
+        rate=1e-3, betas=(0.5, 0.999), batch=256, epochs=30, milestones=(20, 25), most_steps=0,
+        clip=1.0,
+    ),
+}  # fmt: skip
+
+
+def flat(values, prefix=""):
+    """Nested settings as one mapping of dotted names."""
+    found = {}
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        found |= flat(value, f"{name}.") if isinstance(value, dict) else {name: value}
+    return found
 
 
 def test_paper_numbers():
-    paper = preset("paper")
-    angie = paper.settings("angie")
-    assert paper == Preset(generators={"angie": AngieSettings()})
-    assert paper.renderer.regions == angie.vq.regions == angie.refiner.regions == 20
-    assert (angie.vq.codes, angie.vq.code_width, angie.vq.width) == (512, 512, 512)
-    assert (angie.gpt.width, angie.gpt.heads, angie.gpt.dropout) == (768, 12, 0.1)
-    assert paper.renderer.affine_mode == "svd" and paper.renderer.temperature == 0.1
-    assert angie.generation.bounding == "off" and angie.generation.sampling.method == "greedy"
-    assert not angie.generation.sampling.repeat_guard
-    assert angie.train_vq.schedule.rate == 3e-5 and angie.train_vq.commitment == 0.1
-    assert angie.vq.restart_below == 1 and angie.train_vq.path_loss == angie.train_vq.warmup == 0
-    assert paper.train_renderer.rate == 2e-4 and paper.train_renderer.augmentation.zoom == 0
+    """Every number of the preset stands in the table, and every number of the table in it."""
+    settings = dataclasses.asdict(preset("paper"))
+    settings |= settings.pop("generators")
+    assert (settings.pop("name"), settings.pop("points")) == ("paper", False)
+    assert flat(settings) == flat({**MRAA, **ANGIE})
+
+
+def test_a_refiner_of_the_gpt_s_patterns_is_trained_on_the_gpt():
+    assert upstream_of("angie.refiner", preset("paper")) == ["statistics", "angie.vq", "angie.gpt"]
+    assert upstream_of("angie.refiner", preset("lite")) == ["statistics", "angie.vq"]
 
 
 @pytest.mark.parametrize("name", PRESETS)

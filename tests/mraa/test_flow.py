@@ -5,7 +5,7 @@ import torch
 from kornia.filters import gaussian_blur2d
 
 from mraa.blocks import AntiAliasDown
-from mraa.flow import region_heatmap, sparse_motions
+from mraa.flow import FlowPredictor, region_heatmap, sparse_motions
 from mraa.grid import coordinate_grid, warp
 from mraa.losses import random_thin_plate
 from mraa.regions import moments, regions_from_motion
@@ -138,3 +138,27 @@ def test_the_low_pass_is_the_gaussian_blur_of_kornia(scale):
     wanted = gaussian_blur2d(image, (size, size), (sigma, sigma), border_type="constant")
     small = AntiAliasDown(3, scale)(image)
     torch.testing.assert_close(small, wanted[..., ::step, ::step], atol=1e-6, rtol=0)
+
+
+def test_the_flow_predictor_sees_where_regions_went():
+    torch.manual_seed(0)
+    predictor = FlowPredictor(2, 8, 2, 16).eval()
+    seen = []
+    predictor.hourglass.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
+    covariance = 0.02 * torch.eye(2).expand(1, 2, 2, 2)
+    here, there = (
+        regions_from_motion(torch.tensor([[[x, 0.0], [0.5, 0.5]]]), covariance) for x in (-0.5, 0.5)
+    )
+    image = torch.rand(1, 3, 64, 64)
+    predictor(image, here, there)
+    stack = seen[0].view(1, 3, 4, 16, 16)  # background and two regions: heatmap, then RGB
+    went = region_heatmap(there, 16, 16) - region_heatmap(here, 16, 16)
+    assert torch.allclose(stack[0, 1:, 0], went[0]) and (stack[0, 0, 0] == 0).all()
+    assert stack[0, 1, 0].max() > 0.8 and stack[0, 1, 0].min() < -0.8
+    small = predictor.down(image)[0]
+    assert torch.allclose(stack[0, 0, 1:], small, atol=1e-5)  # the background stays
+    assert torch.allclose(stack[0, 2, 1:], small, atol=1e-5)  # and so does what did not move
+    # the first region comes from 0.5 - -0.5 = 7.5 cells to the left
+    moved = stack[0, 1, 1:, :, 8:]
+    between = (small[:, :, :8] + small[:, :, 1:9]) / 2
+    assert torch.allclose(moved, between, atol=1e-4)

@@ -157,7 +157,7 @@ def code_sheet(
     renderer, generator = bundle.renderer(), load_generator(bundle)
     report = bundle.report(f"{NAME}.vq").get("pairs", [])
     pairs = choose_pairs(generator, report, count)
-    squares = [_square(path, person) for path in photos]
+    squares = [square_of(path, person) for path in photos]
     frames, ends = _draw(renderer, generator, squares, pairs)
     grid = np.concatenate([_row(str(p), cells) for p, cells in zip(pairs, ends, strict=True)])
     missing = max(CAPTION - grid.shape[1], 0)
@@ -169,7 +169,8 @@ def code_sheet(
     return Sheet(output, video, pairs)
 
 
-def _square(path: Path, person: str | None) -> NDArray[np.uint8]:
+def square_of(path: Path, person: str | None) -> NDArray[np.uint8]:
+    """The square (256, 256, 3) uint8 of a photo that is animated."""
     photo = read_photo(path)
     return cut_out(photo, photo_crop(path, photo, person, with_crop=False), IMAGE_SIZE)
 

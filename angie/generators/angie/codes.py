@@ -7,13 +7,14 @@ import torch
 from torch import Tensor, nn
 
 from angie.generators.angie.channels import Channels
+from angie.generators.angie.gpt import CoSpeechGPT
 from angie.generators.angie.tokenizer import DirectMotion, VQMotionExtractor
 from angie.motion.clips import MotionClip
 from angie.motion.drift import activity
 from angie.motion.windows import WINDOW, MotionWindows
 from data_prep.rates import FRAMES_PER_TOKEN
 
-STREAMS = ("shift", "cholesky")
+STREAMS = ("shift", "cholesky", "affine")
 """Names of the streams in curves and reports."""
 
 
@@ -66,6 +67,26 @@ def window_codes(vq: VQMotionExtractor, windows: MotionWindows) -> Tensor:
     codes, size = encode_clips(vq, windows), windows.frames // FRAMES_PER_TOKEN
     tokens = [(index, first // FRAMES_PER_TOKEN) for index, first in windows.places]
     return torch.stack([codes[index][:, at : at + size] for index, at in tokens])
+
+
+@torch.no_grad()
+def continued_codes(
+    gpt: CoSpeechGPT, vq: VQMotionExtractor, windows: MotionWindows, at_once: int = 64
+) -> Tensor:
+    """Codes (n, streams, 12) on the CPU: the first true ones, continued by the likeliest ones."""
+    heard, device = windows.choose(["onset", "speaker"]), gpt.positions.device
+    made = []
+    for first, true in enumerate(window_codes(vq, windows).split(at_once)):
+        onset, who = (
+            heard.stack(part, first * at_once, (first + 1) * at_once).to(device)
+            for part in ("onset", "speaker")
+        )
+        codes = true[..., :1].to(device)
+        for step in range(1, true.shape[-1]):
+            logits = gpt(codes, onset[:, 1 : step + 1], who)[:, :, -1]
+            codes = torch.cat([codes, logits.argmax(-1, keepdim=True)], dim=-1)
+        made.append(codes.cpu())
+    return torch.cat(made)
 
 
 @torch.no_grad()

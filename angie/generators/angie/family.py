@@ -7,7 +7,7 @@ from angie.generators.angie.generate import AngieGenerator
 from angie.generators.angie.gpt import CoSpeechGPT
 from angie.generators.angie.refiner import Refiner
 from angie.generators.angie.report import broken_share, gpt_report, in_words, vq_report
-from angie.generators.angie.settings import VARIANTS, AngieSettings, fit, lite, tiny
+from angie.generators.angie.settings import VARIANTS, AngieSettings, fit, lite, paper, tiny
 from angie.generators.angie.tokenizer import DirectMotion, VQMotionExtractor
 from angie.generators.angie.train import train_direct, train_gpt, train_vq
 from angie.generators.angie.train_refiner import train_refiner
@@ -77,7 +77,7 @@ def _vq(context: StageContext) -> Trained:
     settings: AngieSettings = context.settings
     if not settings.has_codes:
         training = settings.train_gpt
-        windows, held_out = context.windows(training.stride, training.grids)
+        windows, held_out = context.windows(training.stride, training.grids, settings.gpt.sound)
         direct = train_direct(context.begin, windows, held_out, settings.vq, settings.gpt, training)
         return Trained(direct.state_dict())
     windows, held_out = context.windows(settings.train_vq.stride)
@@ -90,7 +90,7 @@ def _gpt(context: StageContext) -> Trained:
     settings, vq = context.settings, _extractor(context)
     assert isinstance(vq, VQMotionExtractor)  # without codes there is no such stage
     training = settings.train_gpt
-    windows, held_out = context.windows(training.stride, training.grids)
+    windows, held_out = context.windows(training.stride, training.grids, settings.gpt.sound)
     gpt = train_gpt(context.begin, vq, windows, held_out, settings.gpt, training)
     return Trained(gpt.state_dict(), gpt_report(gpt, vq.cpu(), windows, held_out))
 
@@ -99,9 +99,15 @@ def _refiner(context: StageContext) -> Trained:
     """Train the refiner on the patterns of the VQ motion extractor."""
     settings, vq = context.settings, _extractor(context)
     training = settings.train_refiner
-    windows, held_out = context.windows(training.stride)
-    refiner = train_refiner(context.begin, vq, windows, held_out, settings.refiner, training)
+    windows, held_out = context.windows(training.stride, sound=settings.gpt.sound)
+    gpt = load_gpt(context.bundle) if _refined(settings) else None
+    refiner = train_refiner(context.begin, vq, windows, held_out, settings.refiner, training, gpt)
     return Trained(refiner.state_dict())
+
+
+def _refined(settings: AngieSettings) -> tuple[str, ...]:
+    """What the refiner learns from beside the extractor: the GPT, if its patterns are refined."""
+    return ("gpt",) if settings.train_refiner.pattern == "gpt" and settings.has_codes else ()
 
 
 def _extractor(context: StageContext) -> VQMotionExtractor | DirectMotion:
@@ -152,7 +158,7 @@ FAMILY = Family(
     name=NAME,
     title="ANGIE",
     settings=AngieSettings,
-    presets={"lite": lite, "tiny": tiny},
+    presets={"paper": paper, "lite": lite, "tiny": tiny},
     stages=(
         Stage(
             "vq", ("renderer", "statistics"), _vq, _vq_sizes, make_vq,
@@ -166,7 +172,7 @@ FAMILY = Family(
         ),
         Stage(
             "refiner", ("statistics", "vq"), _refiner, _refiner_sizes,
-            lambda settings: Refiner(settings.refiner),
+            lambda settings: Refiner(settings.refiner), more=_refined,
         ),
     ),
     load=load_generator,
@@ -174,7 +180,7 @@ FAMILY = Family(
     styles=lambda settings, statistics: statistics.speakers if settings.gpt.joint else (),
     style_advice="gpt.joint=true",
     variants=VARIANTS,
-    columns={"C broken": broken_share},
+    columns={"cannot be drawn": broken_share},
     report=in_words,
     codes_shown=_codes_shown,
     reconstruct=_reconstruct,

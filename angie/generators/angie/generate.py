@@ -23,6 +23,12 @@ from mraa.motion import Motion, positive, render_floor
 
 DECODINGS = ("full", "chunked", "auto")
 
+VOICE_FEATURES = {"recording": "onset", "causal": "voice_causal"}
+"""Feature from which `Sampling.voice` tells where there is sound."""
+
+HEARD_AHEAD = 0.3
+"""Seconds after the beginning of a token that its features of sound as it comes know."""
+
 
 @dataclass(frozen=True)
 class GenerationConfig:
@@ -34,10 +40,13 @@ class GenerationConfig:
         bounding: drift bounding, "auto" (above 10 s), "on" or "off".
         decode: "full" (all codes in one pass), "chunked" (12 codes at a time, blended) or
             "auto": whichever reconstructed long held-out clips better after training.
-        blend: how windows of decoder and refiner are blended, "linear" or "hann"; see
+        blend: how windows of decoder and refiner are blended, "linear", "hann" or "ahead", which
+            looks at most a token ahead and always decodes in windows; see
             `angie.motion.windows.BLENDS`.
         refine: add the refiner's residuals.
         reanchor: where motion is bounded, fade toward a training pose in pauses.
+        render_floor: keep diagonals of L where the renderer has seen them; without it they are
+            above 1e-5 (ReLU + eps), as in the paper.
     """
 
     sampling: Sampling = field(default_factory=Sampling)
@@ -47,6 +56,7 @@ class GenerationConfig:
     blend: str = "linear"
     refine: bool = True
     reanchor: bool = False
+    render_floor: bool = True
 
     def __post_init__(self) -> None:
         if self.bounding not in MODES:
@@ -97,7 +107,7 @@ class AngieGenerator(GestureGenerator):
     fps = FPS
     features = ("onset", "mfcc")
     lookahead = None
-    """The beat tracker and the refiner look ahead, and what counts as silence is of the whole."""
+    """Seconds where features, voice and windows are those of sound as it comes; else all of it."""
 
     @property
     def random(self) -> bool:
@@ -118,6 +128,19 @@ class AngieGenerator(GestureGenerator):
             if part is not None:
                 part.eval().requires_grad_(False)
         self.channels = Channels.of(self.statistics, self.vq.config.quant)
+        listener = self.vq.transformer if isinstance(self.vq, DirectMotion) else self.gpt
+        assert listener is not None
+        self.sound: str = listener.config.sound
+        voice = () if self.gpt is None else (VOICE_FEATURES[self.config.sampling.voice],)
+        self.features = tuple(dict.fromkeys((self.sound, "mfcc", *voice)))
+        self.lookahead = self._lookahead()
+
+    def _lookahead(self) -> float | None:
+        """Seconds of sound after a frame that its pose depends on; None if it is all of it."""
+        heard = {self.sound, *self.features} <= {"onset_causal", "voice_causal", "mfcc"}
+        if not heard or self.config.blend != "ahead" or self.config.bounding == "auto":
+            return None
+        return (2 if self.config.refine else 1) * FRAMES_PER_TOKEN / FPS + HEARD_AHEAD
 
     @torch.no_grad()
     def generate(
@@ -157,18 +180,20 @@ class AngieGenerator(GestureGenerator):
         if start.frames != 1 or start.regions != self.statistics.regions:
             raise ValueError(f"the start pose is one frame of {self.statistics.regions} regions")
         first = start.vector()[0].detach().cpu().float()
-        onset = torch.as_tensor(speech["onset"][:tokens])
+        onset = torch.as_tensor(speech[self.sound][:tokens])
         mfcc = torch.as_tensor(speech["mfcc"][:frames])
         like = speaker if style is None else style
         who = None if like is None else self.statistics.place_of(like)
         if isinstance(self.vq, DirectMotion):
-            sound = self.statistics.standard_onset(onset)
+            sound = self.statistics.standard_sound(self.sound, onset)
             delta = self.vq.predict(sound, who, self.config.blend)
         else:
-            sampling = self.config.sampling
+            sampling, voice = self.config.sampling, VOICE_FEATURES[self.config.sampling.voice]
             if greedy is not None:
                 sampling = replace(sampling, method="greedy" if greedy else "topk")
-            codes = self.draw_codes(onset, seed, start_codes, who, sampling)
+            heard = torch.as_tensor(speech[voice][:tokens])
+            voiced = heard > 0 if voice == "voice_causal" else voiced_tokens(heard)
+            codes = self.draw_codes(onset, seed, start_codes, who, sampling, voiced)
             delta = self.decode(codes)
         pattern = self.integrate(delta[:frames], first, speaker)
         motion = pattern + self.residual(mfcc, pattern) if self.config.refine else pattern
@@ -211,18 +236,19 @@ class AngieGenerator(GestureGenerator):
         start_codes: Tensor | None,
         speaker: int | None = None,
         sampling: Sampling | None = None,
+        voiced: Tensor | None = None,
     ) -> Tensor:
-        """Codes (streams, S) of raw onset features (S, 426)."""
+        """Codes (streams, S) of raw features of the tokens (S, 426) and where there is a voice."""
         assert isinstance(self.vq, VQMotionExtractor) and self.gpt is not None
         still = self.vq.start_codes().cpu()
         begin = still[:, None] if start_codes is None else start_codes
         return continue_codes(
             self.gpt,
             begin,
-            self.statistics.standard_onset(onset),
+            self.statistics.standard_sound(self.sound, onset),
             sampling or self.config.sampling,
             torch.Generator().manual_seed(seed),
-            voiced=voiced_tokens(onset),
+            voiced=voiced_tokens(onset) if voiced is None else voiced,
             window=self.config.window,
             speaker=speaker,
             still=still,
@@ -233,6 +259,7 @@ class AngieGenerator(GestureGenerator):
         assert isinstance(self.vq, VQMotionExtractor)
         codes = codes.to(self.vq.mean.device)
         chunked = self.chunked if self.config.decode == "auto" else self.config.decode == "chunked"
+        chunked = chunked or self.config.blend == "ahead"
         return (
             self.vq.decode_chunked(codes, self.config.blend)
             if chunked
@@ -267,10 +294,11 @@ class AngieGenerator(GestureGenerator):
         return residual * scale * (place / FRAMES_PER_TOKEN).clamp_max(1)[:, None]
 
     def renderable(self, motion: Tensor, start: Tensor) -> Motion:
-        """Positive factors within the render floor; frame 1 is the start pose."""
+        """Positive factors, within the render floor if it is on; frame 1 is the start pose."""
         pose, statistics = self._motion(start[None]), self.statistics
         fixed = positive(self._motion(motion))
-        fixed = render_floor(fixed, statistics.diagonal_low, statistics.diagonal_high, pose)
+        if self.config.render_floor:
+            fixed = render_floor(fixed, statistics.diagonal_low, statistics.diagonal_high, pose)
         vector = fixed.vector()
         vector[0] = start
         return self._motion(vector)

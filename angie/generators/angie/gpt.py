@@ -13,7 +13,7 @@ from torch.nn import functional
 
 from angie.layers.transformer import KeyValues, Layer, initialise
 from angie.motion.windows import WINDOW_TOKENS
-from data_prep.speech.features import ONSET_SIZE
+from data_prep.speech.features import ONSET_SIZE, SOUND_SIZES
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,10 @@ class GPTConfig:
         layers: transformer layers; the paper does not say, Bailando's are 6 base and 6 head.
         block: most steps seen at once; 11 steps predict codes 2 to 12 of a window of 96 frames.
         dropout: of embeddings, attention and layers.
-        streams: code streams; 2 are shift and Cholesky factor, 1 is shift alone (keypoints).
+        streams: code streams; 2 are shift and Cholesky factor, 1 is shift alone (keypoints), 3 are
+            those of the naive scheme.
+        sound: feature of the tokens, of which `onset` is the size: "onset" (section 4.1), of the
+            whole recording, or "onset_causal" (114), of sound as it comes; not in the paper.
         joint: one model for several speakers: an embedding of the speaker, and one of anyone
             for a speaker who is not known, is added to the tokens of the sound.
     """
@@ -42,10 +45,13 @@ class GPTConfig:
     dropout: float = 0.1
     streams: int = 2
     joint: bool = False
+    sound: str = "onset"
 
     def __post_init__(self) -> None:
-        if self.streams not in (1, 2):
-            raise ValueError(f"there are 1 or 2 streams of codes, not {self.streams}")
+        if self.streams not in (1, 2, 3):
+            raise ValueError(f"there are 1 to 3 streams of codes, not {self.streams}")
+        if self.sound not in SOUND_SIZES:
+            raise ValueError(f"sound is one of {', '.join(SOUND_SIZES)}, not {self.sound!r}")
         sizes = (self.codes, self.onset, self.width, self.heads, self.layers, self.block)
         if min(sizes) < 1:
             raise ValueError("codes, onset, width, heads, layers and block must be positive")
@@ -71,6 +77,8 @@ class CoSpeechGPT(nn.Module):
         self.shift = nn.Embedding(config.codes, width)
         if config.streams > 1:
             self.cholesky = nn.Embedding(config.codes, width)
+        if config.streams > 2:
+            self.affine = nn.Embedding(config.codes, width)
         self.positions = nn.Parameter(torch.zeros(1, config.blocks * config.block, width))
         self.dropout = nn.Dropout(dropout)
         self.layers = nn.ModuleList(
@@ -80,6 +88,8 @@ class CoSpeechGPT(nn.Module):
         self.shift_head = nn.Linear(width, config.codes, bias=False)
         if config.streams > 1:
             self.cholesky_head = nn.Linear(width, config.codes, bias=False)
+        if config.streams > 2:
+            self.affine_head = nn.Linear(width, config.codes, bias=False)
         self.speaker = nn.Embedding(speakers + 1, width) if config.joint else None
         self.apply(initialise)
         nn.init.normal_(self.positions, std=0.02)
@@ -165,6 +175,8 @@ class CoSpeechGPT(nn.Module):
         blocks = [sound, self.shift(codes[:, 0])]
         if streams > 1:
             blocks.append(self.cholesky(codes[:, 1]))
+        if streams > 2:
+            blocks.append(self.affine(codes[:, 2]))
         places = self.positions.unflatten(1, (config.blocks, config.block))
         tokens = torch.stack(blocks, dim=1) + places[:, :, first : first + steps]
         return tokens.flatten(1, 2)
@@ -180,6 +192,8 @@ class CoSpeechGPT(nn.Module):
         logits = [self.shift_head(tokens[:, 1])]
         if self.config.streams > 1:
             logits.append(self.cholesky_head(tokens[:, 2]))
+        if self.config.streams > 2:
+            logits.append(self.affine_head(tokens[:, 3]))
         return torch.stack(logits, dim=1)
 
     @staticmethod

@@ -1,7 +1,8 @@
 """The motion refiner: rhythmic residuals on top of the common patterns, from MFCC windows.
 
-ANGIE (NeurIPS 2022), section 3.4: bidirectional LSTMs see the absolute pattern motion and the
-sound and predict residuals of shift and Cholesky factor, M = pattern + residual.
+ANGIE (NeurIPS 2022), section 3.3, equation 10: bidirectional LSTMs see the pattern motion and the
+sound and predict residuals of shift and Cholesky factor, M = pattern + residual. The paper feeds
+absolute poses (`RefinerConfig.sees="pose"`); "displacement" takes the first frame's away.
 """
 
 from collections.abc import Callable
@@ -12,6 +13,8 @@ from torch import Tensor, nn
 
 from angie.motion.windows import WINDOW, cross_fade
 from data_prep.speech.features import MFCC_COLUMNS, MFCC_ROWS
+
+SEES = ("displacement", "pose")
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,9 @@ class RefinerConfig:
         layers: of the LSTM.
         dropout: between LSTM layers.
         streams: 2 are shift and Cholesky factor, 1 is shift alone (keypoints).
+        sees: of the pattern: the "displacement" from a window's first frame, for which the place
+            of the person does not matter, or the "pose" itself, as in the paper, less the
+            training set's mean pose.
     """
 
     regions: int = 20
@@ -35,8 +41,11 @@ class RefinerConfig:
     layers: int = 2
     dropout: float = 0.1
     streams: int = 2
+    sees: str = "displacement"
 
     def __post_init__(self) -> None:
+        if self.sees not in SEES:
+            raise ValueError(f"sees is one of {', '.join(SEES)}, not {self.sees!r}")
         if self.streams not in (1, 2):
             raise ValueError(f"there are 1 or 2 streams of motion, not {self.streams}")
         if min(self.regions, self.sound, self.motion, self.hidden, self.layers) < 1:
@@ -74,11 +83,11 @@ class StreamRefiner(nn.Module):
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
 
-    def forward(self, mfcc: Tensor, displacement: Tensor) -> Tensor:
-        """MFCC windows (B, T, 28, 12), displacement (B, T, C) to residuals (B, T, C)."""
+    def forward(self, mfcc: Tensor, motion: Tensor) -> Tensor:
+        """MFCC windows (B, T, 28, 12), pattern motion (B, T, C) to residuals (B, T, C)."""
         batch, frames = mfcc.shape[:2]
         sound = self.sound(mfcc.flatten(-2).flatten(0, 1)).unflatten(0, (batch, frames))
-        seen = torch.cat([sound, self.motion(displacement)], dim=-1)
+        seen = torch.cat([sound, self.motion(motion)], dim=-1)
         hidden, _ = self.lstm(seen)
         return self.out(hidden)
 
@@ -89,12 +98,16 @@ class Refiner(nn.Module):
     Poses and residuals are in units of the training displacement's standard deviation.
     """
 
+    mean: Tensor
+
     def __init__(self, config: RefinerConfig) -> None:
         super().__init__()
         self.config = config
         self.shift = StreamRefiner(2 * config.regions, config)
         if config.streams > 1:
             self.cholesky = StreamRefiner(3 * config.regions, config)
+        if config.sees == "pose":  # mean training pose in units of the pose scale
+            self.register_buffer("mean", torch.zeros(sum(config.channels)))
 
     @property
     def streams(self) -> list[StreamRefiner]:
@@ -104,9 +117,6 @@ class Refiner(nn.Module):
     def forward(self, mfcc: Tensor, pattern: Tensor) -> Tensor:
         """Residuals of a window.
 
-        Only the displacement from the window's first frame is seen, so that the place of the
-        person does not matter.
-
         Args:
             mfcc: (B, T, 28, 12) standardised.
             pattern: (B, T, 5K) absolute pattern motion in units of the pose scale.
@@ -114,8 +124,9 @@ class Refiner(nn.Module):
         Returns:
             (B, T, 5K) residuals in units of the pose scale.
         """
-        displacement = (pattern - pattern[:, :1]).split(self.config.channels, dim=-1)
-        parts = zip(self.streams, displacement, strict=True)
+        origin = self.mean if self.config.sees == "pose" else pattern[:, :1]
+        seen = (pattern - origin).split(self.config.channels, dim=-1)
+        parts = zip(self.streams, seen, strict=True)
         return torch.cat([stream(mfcc, part) for stream, part in parts], dim=-1)
 
     @torch.no_grad()
@@ -141,9 +152,8 @@ class Refiner(nn.Module):
         """
         device = self.shift.out.weight.device
         frames = len(pattern)
-        size = min(WINDOW, frames)
 
-        def compute(starts: list[int]) -> Tensor:
+        def compute(starts: list[int], size: int = WINDOW) -> Tensor:
             sound = torch.stack([mfcc[at : at + size] for at in starts])
             motion = torch.stack([pattern[at : at + size] for at in starts])
             return self(standard(sound.to(device)), motion.to(device))

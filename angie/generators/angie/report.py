@@ -194,9 +194,10 @@ def in_words(stage: str, report: dict[str, Any], settings: Any) -> list[str]:
 
 @torch.no_grad()
 def broken_share(generator: GestureGenerator, clips: Sequence[MotionClip]) -> float:
-    """Share of the frames of clips, through their own codes, with a C that is no covariance.
+    """Share of the frames of clips, through their own codes, that cannot be drawn.
 
-    Summed changes of C need not be positive definite; summed Cholesky factors always are.
+    Summed changes of C, and codes of C and of its root, need not be positive definite; Cholesky
+    factors always are. See `Channels.broken`.
     """
     assert isinstance(generator, AngieGenerator)
     broken, frames = 0, 0

@@ -12,6 +12,8 @@ from angie.generators.angie.gpt import CoSpeechGPT
 
 METHODS = ("greedy", "topk")
 
+VOICES = ("recording", "causal")
+
 
 MOST_REPEATS = 4
 """The repeat guard acts when the last code pair stands there more often than this in a row."""
@@ -31,6 +33,8 @@ class Sampling:
         temperature: divides the logits before drawing.
         repeat_guard: forbid, once, a code pair that stands more than 4 times in a row while
             there is sound.
+        voice: what counts as sound: "recording", by the levels of all of it, or "causal", by those
+            of the last 8 s and the next 0.3 s.
         calm: take the likeliest code where there is no sound, so that chance moves nobody in
             silence; after a second of it, the codes of stillness.
     """
@@ -40,10 +44,13 @@ class Sampling:
     temperature: float = 1.0
     repeat_guard: bool = False
     calm: bool = False
+    voice: str = "recording"
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ValueError(f"sampling is one of {', '.join(METHODS)}, not {self.method!r}")
+        if self.voice not in VOICES:
+            raise ValueError(f"voice is one of {', '.join(VOICES)}, not {self.voice!r}")
         if self.k < 1 or self.temperature <= 0:
             raise ValueError("top-k needs k >= 1 and a temperature above zero")
 

@@ -11,13 +11,15 @@ from angie.generators.angie.train import GPTTraining, VQTraining
 from angie.generators.angie.train_refiner import RefinerTraining
 from angie.generators.base import Variant
 from angie.motion.windows import WINDOW_TOKENS
-from data_prep.speech.features import ONSET_SIZE
+from data_prep.speech.features import SOUND_SIZES
 from mraa.training.checkpoint import Schedule
 
 
 @dataclass(frozen=True)
 class AngieSettings:
-    """Sizes and training of every part; the defaults are the paper's.
+    """Sizes and training of every part.
+
+    What a bundle does not say has the defaults, so they stay as they are; presets say more.
 
     Attributes:
         vq: sizes of the VQ motion extractor.
@@ -42,11 +44,14 @@ class AngieSettings:
     def __post_init__(self) -> None:
         if self.vq.codes != self.gpt.codes or self.vq.regions != self.refiner.regions:
             raise ValueError("the parts disagree: regions or codes are set for one part only")
-        if len({self.vq.streams, self.gpt.streams, self.refiner.streams}) > 1:
+        own = {self.vq.streams, self.gpt.streams, max(self.refiner.streams, self.vq.streams)}
+        if len(own) > 1 or self.refiner.streams != min(self.vq.streams, 2):
             raise ValueError("the parts disagree: streams is 1 for points, else 2, in every part")
-        if (self.gpt.onset, self.gpt.block) != (ONSET_SIZE, WINDOW_TOKENS - 1):
+        size = SOUND_SIZES[self.gpt.sound]
+        if (self.gpt.onset, self.gpt.block) != (size, WINDOW_TOKENS - 1):
             raise ValueError(
-                f"gpt: onset is {ONSET_SIZE} and block {WINDOW_TOKENS - 1}, as in all windows"
+                f"gpt: onset is {size} for sound={self.gpt.sound}, and block {WINDOW_TOKENS - 1}, "
+                "as in all windows"
             )
 
     @property
@@ -58,18 +63,28 @@ class AngieSettings:
 def fit(settings: AngieSettings, regions: int, points: bool) -> AngieSettings:
     """The settings for motion of so many regions; points have the stream of the shift only."""
     streams = 1 if points else 2
+    codes = 3 if settings.vq.quant == "naive" else streams
     return replace(
         settings,
-        vq=replace(settings.vq, regions=regions, streams=streams),
-        gpt=replace(settings.gpt, streams=streams),
+        vq=replace(settings.vq, regions=regions, streams=codes),
+        gpt=replace(settings.gpt, streams=codes),
         refiner=replace(settings.refiner, regions=regions, streams=streams),
+    )
+
+
+def paper() -> AngieSettings:
+    """The paper's sizes and training; README.md tells what it settles where the paper is silent."""
+    return AngieSettings(
+        refiner=RefinerConfig(sees="pose"),
+        generation=GenerationConfig(sampling=Sampling(method="greedy"), render_floor=False),
+        train_refiner=RefinerTraining(pattern="gpt"),
     )
 
 
 def lite() -> AngieSettings:
     """What ships: generates faster than real time on a laptop CPU."""
     return AngieSettings(
-        vq=VQConfig(width=64, code_width=64, restart_below=0.1, context="clip"),
+        vq=VQConfig(width=64, code_width=64, update="ema", context="clip"),
         gpt=GPTConfig(width=128, heads=4, layers=4, dropout=0.3),
         refiner=RefinerConfig(sound=96, motion=64, hidden=128),
         generation=GenerationConfig(
@@ -95,6 +110,7 @@ def lite() -> AngieSettings:
             schedule=Schedule(
                 rate=2e-3, betas=(0.9, 0.999), epochs=100, milestones=(80,), most_steps=3000
             ),
+            drifting=0.5,
             stride=16,
             velocity=20.0,
         ),
@@ -104,7 +120,7 @@ def lite() -> AngieSettings:
 def tiny() -> AngieSettings:
     """For tests and first tries: every stage trains in seconds."""
     return AngieSettings(
-        vq=VQConfig(regions=10, width=32, code_width=32),
+        vq=VQConfig(regions=10, width=32, code_width=32, update="ema"),
         gpt=GPTConfig(width=64, heads=4, layers=2),
         refiner=RefinerConfig(regions=10, sound=32, motion=32, hidden=32, layers=1),
         generation=GenerationConfig(
@@ -116,14 +132,30 @@ def tiny() -> AngieSettings:
         train_vq=VQTraining(schedule=Schedule(rate=1e-3, most_steps=150)),
         train_gpt=GPTTraining(schedule=Schedule(rate=1e-3, most_steps=200), checks=10),
         train_refiner=RefinerTraining(
-            schedule=Schedule(rate=2e-3, betas=(0.9, 0.999), most_steps=150), checks=10
+            schedule=Schedule(rate=2e-3, betas=(0.9, 0.999), most_steps=150),
+            drifting=0.5,
+            checks=10,
         ),
     )
 
 
 def _quantised(settings: AngieSettings, quant: str) -> AngieSettings:
-    generation = replace(settings.generation, refine=True)
-    return replace(settings, vq=replace(settings.vq, quant=quant), generation=generation)
+    """The settings with another thing quantised, and with the refiner."""
+    streams = 3 if quant == "naive" else min(settings.vq.streams, 2)
+    return replace(
+        settings,
+        vq=replace(settings.vq, quant=quant, streams=streams),
+        gpt=replace(settings.gpt, streams=streams),
+        generation=replace(settings.generation, refine=True),
+    )
+
+
+def _without_codes(settings: AngieSettings) -> AngieSettings:
+    """Regression with as many steps as VQ and GPT have together, where these are limited."""
+    vq, gpt = settings.train_vq.schedule.most_steps, settings.train_gpt.schedule.most_steps
+    schedule = replace(settings.train_gpt.schedule, most_steps=vq + gpt if vq and gpt else 0)
+    training = replace(settings.train_gpt, schedule=schedule)
+    return replace(_quantised(settings, "no_quant"), train_gpt=training)
 
 
 def _without_refiner(settings: AngieSettings) -> AngieSettings:
@@ -131,13 +163,22 @@ def _without_refiner(settings: AngieSettings) -> AngieSettings:
     return replace(whole, generation=replace(whole.generation, refine=False))
 
 
+def _paper_loss(settings: AngieSettings) -> AngieSettings:
+    """The refiner learns by equation 10 alone."""
+    training = replace(settings.train_refiner, velocity=0.0)
+    return replace(_quantised(settings, "full"), train_refiner=training)
+
+
 VARIANTS = {
-    "no_quant": Variant(lambda settings: _quantised(settings, "no_quant")),
-    "mu_L": Variant(lambda settings: _quantised(settings, "mu_L")),
-    "dmu_L": Variant(lambda settings: _quantised(settings, "dmu_L")),
-    "mu_dL": Variant(lambda settings: _quantised(settings, "mu_dL")),
+    "no_quant": Variant(_without_codes, several=True),
+    "naive": Variant(lambda settings: _quantised(settings, "naive")),
+    "mu_L": Variant(lambda settings: _quantised(settings, "mu_L"), several=True),
+    "dmu_L": Variant(lambda settings: _quantised(settings, "dmu_L"), several=True),
+    "mu_dL": Variant(lambda settings: _quantised(settings, "mu_dL"), several=True),
     "no_cholesky": Variant(lambda settings: _quantised(settings, "no_cholesky")),
     "no_refine": Variant(_without_refiner, parts_of="full"),
-    "full": Variant(lambda settings: _quantised(settings, "full")),
+    "paper_loss": Variant(_paper_loss),
+    "full": Variant(lambda settings: _quantised(settings, "full"), several=True),
 }
-"""Rows of the paper's Table 3 in its order; `no_cholesky` is of its section 3.2."""
+"""Rows of the paper's Table 3 in its order; `naive` and `no_cholesky` are of its section 3.2, and
+`paper_loss` is `full` with the refiner trained by equation 10 alone."""

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from angie.generators.angie.channels import QUANTS
 from angie.generators.angie.gpt import CoSpeechGPT, GPTConfig
-from angie.layers.vqvae import Codebook, Decoder, Encoder, Quantized
+from angie.layers.vqvae import RESTART_BELOW, Codebook, Decoder, Encoder, Quantized
 from angie.motion.windows import WINDOW_TOKENS, cross_fade
 from data_prep.rates import FRAMES_PER_TOKEN
 
@@ -37,12 +37,13 @@ class VQConfig:
         width: channels of the convolutions.
         codes: entries V of each codebook.
         code_width: numbers of an entry.
-        update: codebook update, "ema" or "loss" (equation 9 literally).
-        decay: of the codebook's moving averages.
-        restart_below: moving count below which an entry restarts; 0 for never.
+        update: codebook update, "loss" (equation 9) or "ema"; see `angie.layers.vqvae.Codebook`.
+        decay: of the codebook's moving averages under "ema".
+        restart_below: moving count below which an entry restarts under "ema"; 0 for never.
         quant: what is quantised, "full" or a variant of the paper's Table 3; see
             `angie.generators.angie.channels`.
-        streams: 2 are shift and Cholesky factor, 1 is shift alone (keypoints).
+        streams: 2 are shift and Cholesky factor, 1 is shift alone (keypoints); the naive scheme
+            has 3: shift, covariance and its root.
         context: what GPT and refiner learn: codes of windows by themselves, as in the paper, or
             "clip", of whole clips in one pass. A code depends on all of its window and on the
             zeros that pad it: those at its ends are of another kind than those in the middle,
@@ -53,9 +54,9 @@ class VQConfig:
     width: int = 512
     codes: int = 512
     code_width: int = 512
-    update: str = "ema"
+    update: str = "loss"
     decay: float = 0.99
-    restart_below: float = 1.0
+    restart_below: float = RESTART_BELOW
     quant: str = "full"
     streams: int = 2
     context: str = "window"
@@ -65,8 +66,10 @@ class VQConfig:
             raise ValueError(f"quant is one of {', '.join(QUANTS)}, not {self.quant!r}")
         if self.context not in CONTEXTS:
             raise ValueError(f"context is one of {', '.join(CONTEXTS)}, not {self.context!r}")
-        if self.streams not in (1, 2):
-            raise ValueError(f"there are 1 or 2 streams of codes, not {self.streams}")
+        if self.streams not in (1, 2, 3) or (self.streams == 3) != (self.quant == "naive"):
+            raise ValueError(
+                f"there are 1 or 2 streams of codes, 3 with quant=naive, not {self.streams}"
+            )
         if min(self.regions, self.width, self.codes, self.code_width) < 1:
             raise ValueError("regions, width, codes and code_width must be positive")
         if self.restart_below < 0:
@@ -75,7 +78,7 @@ class VQConfig:
     @property
     def channels(self) -> list[int]:
         """Channels of each stream."""
-        return [2 * self.regions, 3 * self.regions][: self.streams]
+        return [2 * self.regions, 3 * self.regions, 4 * self.regions][: self.streams]
 
 
 @dataclass
@@ -141,13 +144,16 @@ class VQMotionExtractor(nn.Module):
         self.shift = VQStream(2 * config.regions, config)
         if config.streams > 1:
             self.cholesky = VQStream(3 * config.regions, config)
+        if config.streams > 2:
+            self.affine = VQStream(4 * config.regions, config)
         self.register_buffer("mean", torch.zeros(sum(config.channels)))
         """(5K,) long-run mean of decoded deltas for each unit of activity; drift bounding."""
 
     @property
     def streams(self) -> list[VQStream]:
-        """Shift and, if there is one, Cholesky stream."""
-        return [self.shift, self.cholesky] if self.config.streams > 1 else [self.shift]
+        """Shift and, as far as there are such, the streams of the extent."""
+        names = ("shift", "cholesky", "affine")[: self.config.streams]
+        return [getattr(self, name) for name in names]
 
     def forward(self, deltas: Tensor, quantise: bool = True) -> Reconstruction:
         """Encode, quantise and decode normalised deltas (B, T, 5K).
@@ -211,11 +217,13 @@ class VQMotionExtractor(nn.Module):
         memory does not grow with S.
         """
         frames, window = codes.shape[-1] * FRAMES_PER_TOKEN, WINDOW_TOKENS * FRAMES_PER_TOKEN
-        size = min(WINDOW_TOKENS, codes.shape[-1])
 
-        def compute(starts: list[int]) -> Tensor:
-            first = [start // FRAMES_PER_TOKEN for start in starts]
-            return self.decode(torch.stack([codes[:, at : at + size] for at in first]))
+        def compute(starts: list[int], size: int = window) -> Tensor:
+            first, tokens = (
+                [start // FRAMES_PER_TOKEN for start in starts],
+                size // FRAMES_PER_TOKEN,
+            )
+            return self.decode(torch.stack([codes[:, at : at + tokens] for at in first]))
 
         return cross_fade(frames, window, compute, blend)
 
@@ -261,14 +269,16 @@ class DirectMotion(nn.Module):
         Windows of 12 tokens are computed by themselves and blended, see
         `angie.motion.windows.BLENDS`.
         """
-        size = min(WINDOW_TOKENS, len(onset))
         device = self.mean.device
+        frames, window = len(onset) * FRAMES_PER_TOKEN, WINDOW_TOKENS * FRAMES_PER_TOKEN
 
-        def compute(starts: list[int]) -> Tensor:
-            first = [start // FRAMES_PER_TOKEN for start in starts]
-            sound = torch.stack([onset[at : at + size] for at in first]).to(device)
+        def compute(starts: list[int], size: int = window) -> Tensor:
+            first, tokens = (
+                [start // FRAMES_PER_TOKEN for start in starts],
+                size // FRAMES_PER_TOKEN,
+            )
+            sound = torch.stack([onset[at : at + tokens] for at in first]).to(device)
             who = None if speaker is None else torch.full((len(first),), speaker, device=device)
             return self(sound, who)
 
-        frames, window = len(onset) * FRAMES_PER_TOKEN, WINDOW_TOKENS * FRAMES_PER_TOKEN
         return cross_fade(frames, window, compute, blend)

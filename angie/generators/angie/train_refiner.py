@@ -1,4 +1,4 @@
-"""Training of the motion refiner on the patterns of a frozen VQ motion extractor."""
+"""Training of the motion refiner on the patterns of a frozen VQ motion extractor, or of the GPT."""
 
 from dataclasses import dataclass, field
 from functools import partial
@@ -7,13 +7,17 @@ import torch
 from torch import Tensor, nn
 
 from angie.generators.angie.channels import Channels
-from angie.generators.angie.codes import evaluating, patterns
+from angie.generators.angie.codes import continued_codes, decode_windows, evaluating, patterns
+from angie.generators.angie.gpt import CoSpeechGPT
 from angie.generators.angie.refiner import Refiner, RefinerConfig
 from angie.generators.angie.tokenizer import DirectMotion, VQMotionExtractor
 from angie.generators.angie.train import Begin, fit
 from angie.motion.windows import STRIDE, MotionWindows, check_stride
+from data_prep.errors import BadInput
 from data_prep.rates import FRAMES_PER_TOKEN
 from mraa.training.checkpoint import Schedule
+
+PATTERNS = ("codes", "gpt")
 
 
 @dataclass(frozen=True)
@@ -22,7 +26,10 @@ class RefinerTraining:
 
     Attributes:
         schedule: Adam 1e-4 with betas (0.9, 0.999), batch 32, 100 epochs.
-        drifting: share of the windows that get a random linear drift to remove.
+        pattern: what the refiner leads to the true motion: "codes", the patterns of the true
+            motion's own codes, or "gpt", those of the codes that the GPT continues each window's
+            first true code with, the likeliest ones.
+        drifting: share of the windows that get a random linear drift to remove; not in the paper.
         checks: evenly spaced evaluations on the held-out windows.
         stride: frames from one training window to the next, a multiple of 8.
         velocity: weight of the mean absolute error of the change from frame to frame, in which
@@ -32,12 +39,15 @@ class RefinerTraining:
     schedule: Schedule = field(
         default_factory=lambda: Schedule(rate=1e-4, betas=(0.9, 0.999), epochs=100)
     )
-    drifting: float = 0.5
+    pattern: str = "codes"
+    drifting: float = 0.0
     checks: int = 50
     stride: int = STRIDE
     velocity: float = 0.0
 
     def __post_init__(self) -> None:
+        if self.pattern not in PATTERNS:
+            raise ValueError(f"pattern is one of {', '.join(PATTERNS)}, not {self.pattern!r}")
         if self.checks < 1 or not 0 <= self.drifting <= 1:
             raise ValueError("checks must be positive, drifting a share")
         if self.velocity < 0:
@@ -45,20 +55,37 @@ class RefinerTraining:
         check_stride(self.stride, FRAMES_PER_TOKEN)
 
 
-def pattern_windows(vq: VQMotionExtractor | DirectMotion, windows: MotionWindows) -> MotionWindows:
+def pattern_windows(
+    vq: VQMotionExtractor | DirectMotion, windows: MotionWindows, gpt: CoSpeechGPT | None = None
+) -> MotionWindows:
     """Windows with `poses`, `mfcc` and `pattern` (T, 5K), in units of the pose scale.
 
-    The pattern is integrated from the true first frame, as generation does from the photo.
+    The pattern is integrated from the true first frame, as generation does from the photo; it is
+    of the true motion's codes, or, with `gpt`, of those that it continues the first one with.
     """
     channels = Channels.of(windows.statistics, vq.config.quant)
     scale = windows.statistics.pose_scale
+    if gpt is not None and isinstance(vq, VQMotionExtractor):
+        found = decode_windows(vq, continued_codes(gpt, vq, windows))
+    else:
+        found = patterns(vq, windows)
     made = [
         channels.integrate(values, group["poses"][:, 1]) / scale
-        for values, group in zip(
-            patterns(vq, windows).split(64), windows.groups("poses"), strict=True
-        )
+        for values, group in zip(found.split(64), windows.groups("poses"), strict=True)
     ]
     return windows.choose(["poses", "mfcc"], pattern=torch.cat(made))
+
+
+def mean_pose(windows: MotionWindows) -> Tensor:
+    """Mean training pose (5K,) in units of the pose scale.
+
+    Raises:
+        BadInput: statistics from before it was measured.
+    """
+    statistics = windows.statistics
+    if not len(statistics.pose_mean):
+        raise BadInput("refiner.sees=pose: needs newer statistics; run the motion stage")
+    return statistics.pose_mean / statistics.pose_scale
 
 
 def truth_of(batch: dict[str, Tensor], scale: Tensor) -> Tensor:
@@ -114,14 +141,21 @@ def train_refiner(
     held_out: MotionWindows | None,
     config: RefinerConfig,
     training: RefinerTraining,
+    gpt: CoSpeechGPT | None = None,
 ) -> Refiner:
-    """Train the refiner to lead patterns of true codes to the true motion."""
+    """Train the refiner to lead patterns to the true motion.
+
+    Patterns are of the true codes; with `gpt`, trained on the codes of `vq`, of its codes.
+    """
     run = begin(training.schedule.steps(len(windows)))
     vq = vq.to(run.device)
-    windows = pattern_windows(vq, windows)
+    gpt = None if gpt is None else gpt.to(run.device)
+    windows = pattern_windows(vq, windows, gpt)
     scale = windows.statistics.pose_scale.to(run.device)
     slopes = drift_slopes(windows).to(run.device)
     refiner = Refiner(config)
+    if config.sees == "pose":
+        refiner.mean.copy_(mean_pose(windows))
 
     def losses(model: nn.Module, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         pattern = add_drift(batch["pattern"], slopes, training.drifting)
@@ -130,7 +164,7 @@ def train_refiner(
 
     score = None
     if held_out is not None:
-        score = partial(held_out_loss, refiner, pattern_windows(vq, held_out), training)
+        score = partial(held_out_loss, refiner, pattern_windows(vq, held_out, gpt), training)
     fit(run, "refiner", refiner, windows, training, losses, score)
     return refiner.cpu()
 

@@ -58,7 +58,7 @@ def test_moving_averages_of_a_hand_worked_step():
 
 
 def test_dead_entries_restart_at_vectors_of_the_batch():
-    book = learned(codes=8)
+    book = learned(codes=8, restart_below=1.0)
     book.entries[3:] = 1e3
     book.sums[3:] = 1e3
     book.counts[3:] = 0.5
@@ -183,3 +183,22 @@ def test_fewer_vectors_than_entries_can_begin_a_codebook():
     codebook = Codebook(8, 2)
     codebook.init_entries(torch.tensor([[0.0, 0.0], [9.0, 0.0]]))
     assert torch.isfinite(codebook.entries).all() and codebook.counts.sum() == 8
+
+
+def stationary(book: Codebook, steps: int) -> float:
+    """Restarts a step of a codebook of 512 entries on as many clusters, 384 vectors a step."""
+    torch.manual_seed(0)
+    centres = 3 * torch.randn(512, 8)
+    book.train()
+    book(centres[torch.randint(512, (32, 12))])
+    restarts = 0
+    for step in range(steps):
+        book(centres[torch.randint(512, (32, 12))])
+        restarts += int(book.restarted) if step >= steps // 2 else 0
+    return restarts / (steps - steps // 2)
+
+
+def test_entries_in_use_do_not_restart():
+    assert stationary(Codebook(512, 8, "ema"), 240) < 4
+    assert stationary(Codebook(512, 8, "ema", restart_below=1.0), 30) > 100  # half of all, always
+    assert stationary(Codebook(512, 8, "loss"), 205) < 4

@@ -17,7 +17,7 @@ def poses(clips) -> torch.Tensor:
 def test_integrating_what_is_quantised_gives_the_motion_back(statistics, poses, quant):
     channels = Channels.of(statistics, quant)
     values = channels.normalise(poses)
-    assert values.shape == (3, 24, 20)
+    assert values.shape == (3, 24, 36 if quant == "naive" else 20)
     back = channels.integrate(values, poses[:, 1])
     assert torch.allclose(back, poses[:, 1:], atol=1e-4)
     assert not channels.broken(values, poses[:, 1]).any()
@@ -59,6 +59,29 @@ def test_without_the_cholesky_factor_summed_covariances_break(statistics, poses)
     motion = Motion.from_vector(channels.integrate(values, poses[:1, 1]))
     assert (motion.cholesky[..., ::2] > 0).all()  # still something that can be shown
     assert not Channels.of(statistics).broken(values, poses[:1, 1]).any()
+    values.zero_()[:, 2, 9] = 1e6  # c12 of the first region, with either sign
+    for sign in (1, -1):
+        broken = channels.broken(sign * values, poses[:1, 1])
+        assert broken[0].tolist() == [False] * 2 + [True] * 7
+
+
+def test_naive_covariances_and_roots_break_by_themselves(statistics, poses):
+    channels = Channels.of(statistics, "naive")
+    values, start = channels.normalise(poses[:1]), poses[:1, 1]
+    assert not channels.all_relative and not channels.broken(values, start).any()
+    root = channels.scale[20:] * values[0, 0, 20:] + channels.centre[20:]  # (a, b, c, d) each
+    covariance = Motion.from_vector(poses[0, 1]).covariance()
+    root = root.view(4, 2, 2)
+    assert torch.allclose(root @ root.mT, covariance, atol=1e-5)
+    flat, turned = values.clone(), values.clone()
+    flat[0, 3, 8] = -1e6  # c11 of the first region, in frame 4 alone
+    turned[0, 5, 20:22] *= -1
+    turned[0, 5, 20:22] -= 2 * channels.centre[20:22] / channels.scale[20:22]  # first row of A
+    assert channels.broken(flat, start)[0].nonzero().flatten().tolist() == [3]
+    assert channels.broken(turned, start)[0].nonzero().flatten().tolist() == [5]
+    old = dataclasses.replace(statistics, extent_mean=torch.zeros(0))
+    with pytest.raises(BadInput, match="run the motion stage"):
+        Channels.of(old, "naive")
 
 
 def test_old_statistics_and_points_are_refused(statistics):

@@ -204,7 +204,7 @@ def test_the_blend_reaches_decoder_and_refiner(generator, speech, start, monkeyp
         monkeypatch.setattr(f"angie.generators.angie.{module}.cross_fade", blended)
     configured(generator, decode="chunked", blend="hann").generate(speech, start, 200)
     assert asked == ["hann", "hann"]
-    with pytest.raises(ValueError, match="blend is one of linear, hann, not 'Hann'"):
+    with pytest.raises(ValueError, match="blend is one of linear, hann, ahead, not 'Hann'"):
         GenerationConfig(blend="Hann")
 
 
@@ -372,3 +372,44 @@ def test_windows_of_the_gpt_begin_where_seams_are_looked_for(
     assert len(begun) > 1 and (borders(hopping, 8 * len(onset))["gpt"] / 8).tolist() == begun
     sliding = configured(generator, window=Window("slide"))
     assert len(borders(sliding, 8 * len(onset))["gpt"]) == 0
+
+
+def test_residuals_come_back_in_the_units_of_the_pose(generator, monkeypatch):
+    seen = []
+
+    def refine(self, mfcc, pattern, standard, blend):
+        seen.append((standard(mfcc), pattern))
+        return torch.ones_like(pattern)
+
+    monkeypatch.setattr(Refiner, "refine", refine)
+    mfcc, pattern = torch.randn(20, 28, 12), torch.randn(20, 20)
+    residual, scale = generator.residual(mfcc, pattern), generator.statistics.pose_scale
+    ramp = torch.tensor([min(i / 8, 1.0) for i in range(20)])
+    assert torch.allclose(residual, scale * ramp[:, None])
+    statistics = generator.statistics
+    assert torch.allclose(seen[0][0], (mfcc - statistics.mfcc_mean) / statistics.mfcc_scale)
+    assert torch.allclose(seen[0][1] * scale, pattern, atol=1e-6)
+
+
+def test_the_sound_of_the_frames_reaches_the_motion(generator, speech, start):
+    parts = {name: speech[name] for name in ("onset", "mfcc")}
+    parts["mfcc"] = parts["mfcc"] + np.float32(1)
+    other = Speech.of_features(parts, speech.frames)
+    one, two = (generator.generate(s, start, 96, seed=1).vector() for s in (speech, other))
+    assert not torch.allclose(one, two, atol=1e-5)
+    bare = configured(generator, refine=False)
+    one, two = (bare.generate(s, start, 96, seed=1).vector() for s in (speech, other))
+    assert torch.equal(one, two)  # only the refiner hears them
+
+
+def test_without_the_render_floor_factors_are_relu_plus_epsilon(generator, start):
+    motion = start.vector().repeat(3, 1)
+    motion[1:, 8] = -1.0  # l1 of the first region
+    motion[1:, 10] = 5.0  # its l3
+    made = configured(generator, render_floor=False).renderable(motion, start.vector()[0])
+    assert made.cholesky[1, 0, 0] == pytest.approx(1e-5, rel=1e-3)
+    assert made.cholesky[1, 0, 2] == pytest.approx(5 + 1e-5)
+    floored = generator.renderable(motion, start.vector()[0])
+    low, high = generator.statistics.diagonal_low, generator.statistics.diagonal_high
+    assert floored.cholesky[1, 0, 0] == pytest.approx(float(0.3 * low[0, 0]))
+    assert floored.cholesky[1, 0, 2] == pytest.approx(float(1.5 * high[0, 1]))

@@ -1,3 +1,4 @@
+import copy
 import dataclasses
 
 import pytest
@@ -268,3 +269,29 @@ def test_the_paper_preset_has_the_paper_s_shapes():
     layer = 4 * 768 * 768 + 4 * 768 + 2 * 4 * 768 * 768 + 5 * 768 + 4 * 768
     outside = 426 * 768 + 768 + 4 * 512 * 768 + 33 * 768 + 2 * 768
     assert sum(p.numel() for p in gpt.parameters()) == 12 * layer + outside
+
+
+def test_each_head_reads_the_block_of_its_own_stream(codes, onset):
+    torch.manual_seed(0)
+    model = CoSpeechGPT(TINY).eval()
+    for parameter in model.layers.parameters():
+        torch.nn.init.zeros_(parameter)  # every token stays what was put in
+    logits = model(codes, onset)
+    for stream in (0, 1):
+        other = codes.clone()
+        other[:, stream] = (other[:, stream] + 1) % 16
+        changed = model(other, onset)
+        assert not torch.allclose(changed[:, stream], logits[:, stream])
+        assert torch.equal(changed[:, 1 - stream], logits[:, 1 - stream])
+    assert torch.equal(model(codes, onset + 1), logits)  # the sound's block has no head
+
+
+def test_every_step_of_every_block_has_its_place(gpt, codes, onset):
+    logits = gpt(codes, onset)
+    for row in (3, 5 + 3, 10 + 3):  # step 3 of the sound's block and of both streams'
+        other = copy.deepcopy(gpt)
+        with torch.no_grad():
+            other.positions[0, row] += torch.linspace(-1, 1, 24)
+        changed = other(codes, onset)
+        assert torch.equal(changed[:, :, :3], logits[:, :, :3])
+        assert not torch.allclose(changed[:, :, 3], logits[:, :, 3], atol=1e-4)

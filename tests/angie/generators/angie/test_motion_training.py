@@ -35,7 +35,7 @@ from angie.motion.windows import MotionWindows
 from mraa.training.checkpoint import Schedule
 from mraa.training.run import Run, RunConfig
 
-VQ = VQConfig(regions=4, width=24, codes=32, code_width=16, restart_below=0.1)
+VQ = VQConfig(regions=4, width=24, codes=32, code_width=16, update="ema")
 GPT = GPTConfig(codes=32, width=32, heads=2, layers=2)
 REFINER = RefinerConfig(regions=4, sound=16, motion=16, hidden=16, layers=1)
 CPU = RunConfig(device="cpu")
