@@ -8,6 +8,7 @@
 #   SEEDS="0 1 2"     training seeds of the joint model
 #   SPEAKERS="adam bella carl dora"     models of one speaker
 #   VARIANTS=full,...  rows of the ablations
+#   TRAININGS=3       seeds of training of the variants that the comparison stands on
 set -euo pipefail
 work="${1:?folder to work in}" renderer="${2:?bundle with a trained renderer}"
 here="$(cd "$(dirname "$0")" && pwd)"
@@ -16,7 +17,7 @@ read -ra python <<<"${PYTHON:-python}"
 set="$work/set"
 settings=(
   'train_renderer.initial=""' 'train_renderer.teacher=""'
-  vq.restart_below=0.1 vq.context=clip train_vq.stride=5 train_vq.warmup=0.15 train_vq.path_loss=0.3 train_vq.path_loss_norm=square
+  vq.update=ema vq.restart_below=0.1 vq.context=clip train_vq.stride=5 train_vq.warmup=0.15 train_vq.path_loss=0.3 train_vq.path_loss_norm=square
   "train_vq.schedule.milestones=[375,460]" train_vq.checks=6
   gpt.joint=true gpt.dropout=0.3 train_gpt.schedule.rate=1e-3 "train_gpt.schedule.milestones=[400]"
   train_gpt.stride=8 train_gpt.grids=8 train_gpt.checks=18 train_gpt.patience=4
@@ -33,9 +34,9 @@ single=(
   train_vq.schedule.most_steps=6000 train_vq.path_loss=0.6 train_gpt.schedule.most_steps=700
   train_refiner.schedule.most_steps=1500
 )
-variant=(
-  train_vq.schedule.most_steps=1500 train_gpt.schedule.most_steps=300 train_gpt.grids=1
-  train_refiner.schedule.most_steps=300
+variant=( # the same limits for all, and no loss that only some of them have
+  train_vq.schedule.most_steps=3000 train_gpt.schedule.most_steps=1200 train_gpt.grids=1
+  train_refiner.schedule.most_steps=1500 train_vq.path_loss=0
 )
 
 mkdir -p "$work"
@@ -89,12 +90,11 @@ checked check "${bundles[@]}"
     --fgd-steps 1000
 [ -f "$work/ablations/table3.md" ] ||
   "${angie[@]}" ablate "$set" "$work/base" -o "$work/ablations" --fgd "$work/report/fgd-0.safetensors" \
-    --seeds 3 --image-stride 300 ${VARIANTS:+--variants "$VARIANTS"} "${settings[@]}" "${variant[@]}"
-rows=()
-for bundle in "$work"/ablations/*/bundle.json; do rows+=("$(dirname "$bundle")"); done
-[ -f "$work/report-early/results.json" ] || # pictures of the first two seconds
-  "${angie[@]}" evaluate "$set" "${rows[@]}" -o "$work/report-early" --image-seconds 2 \
-    --image-stride 24 --videos-shown 0 --fgd "$work/report/fgd-0.safetensors"
+    --seeds 3 --trainings "${TRAININGS-3}" --image-stride 24 ${VARIANTS:+--variants "$VARIANTS"} \
+    "${settings[@]}" "${variant[@]}"
+[ -f "$work/poses.txt" ] || # photos far from rest
+  { "${python[@]}" "$here/check_poses.py" "$set" "${bundles[0]}" >"$work/poses.part" &&
+    mv "$work/poses.part" "$work/poses.txt"; }
 own=()
 for name in ${SPEAKERS-adam bella carl dora}; do
   copied "$name"

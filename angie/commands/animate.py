@@ -313,6 +313,10 @@ def ablate(
     ] = None,
     generator: Generator = None,
     seeds: Seeds = 1,
+    trainings: Annotated[
+        int,
+        typer.Option(min=1, help="Seeds to train the variants with that the comparison stands on."),
+    ] = 1,
     no_images: NoImages = False,
     image_stride: ImageStride = 25,
     image_seconds: ImageSeconds = 0.0,
@@ -351,6 +355,7 @@ def ablate(
         generator=generator,
         changes=parse_overrides(settings or []),
         config=scoring,
+        trainings=trainings,
         seed=seed,
         run=RunConfig(device=device),
         device=place,

@@ -16,8 +16,10 @@ from angie.bundle import TRAIN, Bundle
 from angie.config import Preset, override
 from angie.evaluation.evaluate import evaluate
 from angie.evaluation.networks import EvaluationConfig, stored_autoencoder
-from angie.evaluation.space import open_space
+from angie.evaluation.space import RegionSpace, open_space
+from angie.evaluation.table3 import EARLY, Trained, tables
 from angie.generators import DEFAULT, family
+from angie.generators.base import Family
 from angie.opening import try_out
 from angie.parts import OPTIONAL
 from angie.training import stages_of, train
@@ -27,15 +29,13 @@ from data_prep.files import alone, check_apart, check_output, whole_file
 from data_prep.progress import console
 from mraa.training.run import RunConfig
 
-COLUMNS = ("fgd", "bc", "diversity_ha2g", "l1", "perceptual", "aed", "l1_drawn", "perceptual_drawn")
-"""Columns of the paper's Table 3, and L1 and perceptual distance without the renderer's part."""
-
 MARK = "ablation.json"
 """File that marks a folder of ablations and holds their settings."""
 
 TABLE = "table3.md"
 
-REPORT = "report"
+REPORT, REPORT_EARLY = "report", "report-early"
+"""Reports of whole clips, and of the pictures of their first two seconds."""
 
 
 def settings_of(base: Preset, variant: str, generator: str = DEFAULT) -> Preset:
@@ -54,6 +54,7 @@ def ablate(
     generator: str | None = None,
     changes: Mapping[str, Any] | None = None,
     config: EvaluationConfig | None = None,
+    trainings: int = 1,
     seed: int = 0,
     run: RunConfig | None = None,
     device: str = "cpu",
@@ -68,13 +69,15 @@ def ablate(
         variants: rows wanted; None is all of the generator's.
         generator: whose variants; None is the bundle's default one.
         changes: settings that differ from the bundle's, such as training steps.
-        config: how to score.
+        config: how to score; pictures are of both protocols, reconstructions and from sound.
+        trainings: seeds, from `seed` on, that the variants are trained with which the comparison
+            stands on (`Variant.several`); the others are trained once.
         seed: of every training.
         run: device and so on of the trainings.
         device: torch device for rendering.
 
     Returns:
-        The table, as text.
+        The tables, as text.
 
     Raises:
         BadInput: an unknown variant, an auto-encoder of other regions, or a folder that holds
@@ -108,22 +111,50 @@ def ablate(
     with alone(output):
         _begin(output, origin)
         needed = [known[name].parts_of for name in variants]
-        for name in dict.fromkeys([*(whole for whole in needed if whole), *variants]):
-            preset = settings_of(base, name, found.name)
-            _train(dataset, source, output / name, preset, known[name].parts_of, seed, run)
-        folders = [output / name for name in variants]
-        numbers = evaluate(dataset, folders, output / REPORT, config, device=device, force=True)
-        space = open_space(data, Bundle.open(folders[0]), output / "scratch", device)
-        shares = {
-            title: {
-                name: share(Bundle.open(output / name).generator(), space.test) for name in variants
-            }
-            for title, share in found.columns.items()
+        rows = {
+            name: [name] for name in dict.fromkeys([*(one for one in needed if one), *variants])
         }
-        text = table(numbers, shares)
+        for name, names in rows.items():
+            if known[name].several and name in variants:
+                names += [f"{name}-{seed + i}" for i in range(1, trainings)]
+            for i, one in enumerate(names):
+                preset = settings_of(base, name, found.name)
+                _train(dataset, source, output / one, preset, known[name].parts_of, seed + i, run)
+        folders = [output / one for name in variants for one in rows[name]]
+        config = replace(config or EvaluationConfig(), from_sound=True)
+        numbers = evaluate(dataset, folders, output / REPORT, config, device=device, force=True)
+        early = None
+        if config.images and not config.image_seconds:
+            stored = output / REPORT / "fgd-0.safetensors"
+            seconds = replace(config, image_seconds=EARLY, fgd=stored if stored.is_file() else None)
+            early = evaluate(
+                dataset, folders, output / REPORT_EARLY, seconds, device=device, force=True
+            )
+        space = open_space(data, Bundle.open(folders[0]), output / "scratch", device)
+        trained = {
+            name: Trained(rows[name], _shares(found, output / name, space), _steps(output / name))
+            for name in variants
+        }
+        text = tables(numbers, early, trained)
         with whole_file(output / TABLE, force=True) as part:
             part.write_text(text + "\n")
         return text
+
+
+def _shares(found: Family, folder: Path, space: RegionSpace) -> dict[str, float]:
+    """Further columns of a variant, by their titles."""
+    generator = Bundle.open(folder).generator()
+    return {title: share(generator, space.test) for title, share in found.columns.items()}
+
+
+def _steps(folder: Path) -> dict[str, int]:
+    """Steps at which the stages of a variant's training stopped."""
+    parts = Bundle.open(folder).manifest["parts"]
+    return {
+        part.partition(".")[2]: entry["report"]["steps"]
+        for part, entry in parts.items()
+        if "steps" in entry["report"]
+    }
 
 
 def _begin(output: Path, origin: dict[str, Any]) -> None:
@@ -205,29 +236,3 @@ def _copy_parts(source: Bundle, folder: Path) -> None:
         shutil.copy(source.path_of(part), folder)
         made.manifest["parts"][part] = dict(entry)
     made.write()
-
-
-def table(numbers: Mapping[str, Any], shares: Mapping[str, Mapping[str, float]]) -> str:
-    """The table as Markdown, with the rows of reference above the variants.
-
-    Args:
-        numbers: what `evaluate` returned, of one space.
-        shares: further columns by their title: a share of the frames, by variant.
-    """
-    space = numbers["spaces"][0]
-    images = {row["name"]: row["scores"] for row in (space["images"] or {"rows": []})["rows"]}
-    titles = {entry["key"]: entry for entry in numbers["definitions"]}
-    head = ["", *(titles[key]["title"] for key in COLUMNS), *shares]
-    lines = [head, ["---"] * len(head)]
-    for row in space["rows"]:
-        scores = {**row["scores"], **images.get(row["name"], {})}
-        cells = [row["name"]]
-        for key in COLUMNS:
-            score = scores.get(key)
-            known = score is not None and score["mean"] is not None
-            cells.append(f"{score['mean']:.{titles[key]['digits']}f}" if known and score else "-")
-        for column in shares.values():
-            share = column.get(row["name"])
-            cells.append("-" if share is None else f"{100 * share:.1f} %")
-        lines.append(cells)
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)

@@ -56,7 +56,7 @@ def _columns(section: str) -> tuple[Definition, ...]:
 
 MOTION, IMAGES = _columns("motion"), _columns("images")
 
-SHORT = ("fgd", "bc", "pmb", "diversity", "hellinger", "maje_px", "cca_global")
+SHORT = ("fgd", "fgd_raw", "bc", "pmb", "diversity", "hellinger", "maje_px", "cca_global")
 """Columns that the terminal shows."""
 
 ALL = (*MOTION, *IMAGES)

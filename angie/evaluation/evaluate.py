@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from angie import __version__
 from angie.bundle import Bundle
 from angie.evaluation import report
-from angie.evaluation.images import Driver, FrameJudge, score_pictures
+from angie.evaluation.images import FROM_SOUND, Driver, FrameJudge, score_pictures
 from angie.evaluation.networks import (
     EvaluationConfig,
     check_networks,
@@ -213,7 +213,7 @@ def _drawn(
     return Pictures(
         renderer,
         joints,
-        partial(_score_images, data, space, entered, joints, config),
+        partial(_score_images, data, space, entered, rows, joints, config),
         lambda folder: write_videos(folder, data, space.test, rows, renderer, config.videos_shown),
     )
 
@@ -222,6 +222,7 @@ def _score_images(
     data: Dataset,
     space: RegionSpace,
     entered: Sequence[System],
+    rows: Sequence[Row],
     joints: dict[str, NDArray],
     config: EvaluationConfig,
     judge: FrameJudge,
@@ -236,6 +237,10 @@ def _score_images(
         if system.family.reconstruct is not None:
             drivers[system.name] = _through_tokens(system)
             about[system.name] = "Drawn from its reconstruction of the true motion."
+        if config.from_sound:
+            name = f"{system.name}{FROM_SOUND}"
+            drivers[name] = _from_sound(rows, system.name)
+            about[name] = "Drawn from the motion that it generates to the sound."
     frames = sum(len(config.choice.numbers(c.motion.frames)) for c in space.test)
     with progress("image scores", frames * len(about), "frames") as advance:
         scores = score_pictures(judge, data, space.test, drivers, joints, config.choice, advance)
@@ -250,6 +255,13 @@ def _through_tokens(system: System) -> Driver:
     through, generator = system.family.reconstruct, system.load()
     assert through is not None
     return lambda clip: through(generator, clip, system.knows(clip.speaker))
+
+
+def _from_sound(rows: Sequence[Row], name: str) -> Driver:
+    """Gives the motion of a clip in the first run of a row."""
+    run = next(row for row in rows if row.name == name).runs[0]
+    made = {performance.clip: performance.motion for performance in run}
+    return lambda clip: made[clip.name]
 
 
 def finish(

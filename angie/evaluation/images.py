@@ -25,6 +25,9 @@ from mraa.perceptual import ImageScores, PerceptualDistance
 from mraa.perceptual import score as image_scores
 from mraa.renderer import Renderer, from_pixels
 
+FROM_SOUND = ", from sound"
+"""After the name of a row whose pictures are of generated motion."""
+
 AT_ONCE = 8
 """Frames scored together."""
 

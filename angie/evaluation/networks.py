@@ -63,6 +63,7 @@ class EvaluationConfig:
         detected: folder with NAME.npz of other networks' embeddings and points for `--videos`.
         greedy: always the likeliest gesture, whatever a bundle's own sampling.
         perceptual_weights: file of VGG19's weights; empty for the random network.
+        from_sound: also score pictures of generated motion, beside those of reconstructions.
     """
 
     seeds: int = 1
@@ -79,6 +80,7 @@ class EvaluationConfig:
     detected: Path | None = None
     greedy: bool = False
     perceptual_weights: str = ""
+    from_sound: bool = False
 
     def __post_init__(self) -> None:
         seconds = self.image_seconds

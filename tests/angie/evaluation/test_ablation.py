@@ -11,8 +11,9 @@ import torch
 from angie.bundle import BUNDLE, Bundle
 from angie.cli import main
 from angie.config import parse_overrides, preset
-from angie.evaluation.ablation import COLUMNS, _copy_motion, ablate, settings_of, table
+from angie.evaluation.ablation import _copy_motion, ablate, settings_of
 from angie.evaluation.networks import EvaluationConfig
+from angie.evaluation.table3 import MOTION, PICTURES, SOUND, Trained, tables
 from angie.generators.angie.report import broken_share
 from angie.generators.angie.settings import VARIANTS
 from angie.generators.angie.tokenizer import DirectMotion
@@ -64,12 +65,15 @@ def test_every_variant_is_a_bundle_on_one_renderer(made, bundle):
 
 def test_the_table_has_a_row_for_each_and_those_of_reference(made):
     output, text = made
-    rows = [line.split("|")[1].strip() for line in text.splitlines()[2:]]
-    assert rows[-3:] == ["no_quant", "no_cholesky", "no_refine"] and "motionless" in rows
-    assert "FGD" in text.splitlines()[0] and (output / "table3.md").read_text() == text + "\n"
+    rows = [line.split("|")[1].strip() for line in text.splitlines()[4:]]
+    assert rows[-3:] == ["no_quant", "no_cholesky", "no_refine"]
+    assert {"motionless", "nearest audio"} < set(rows)
+    assert "FGD | FGD raw" in text and (output / "table3.md").read_text() == text + "\n"
     results = json.loads((output / "report" / "results.json").read_text())
     scores = {row["name"]: row["scores"] for row in results["spaces"][0]["rows"]}
     assert f"{scores['no_quant']['fgd']['mean']:.2f}" in text
+    assert text.splitlines()[-3].endswith("| vq 8, refiner 4 |")  # as many as VQ and GPT together
+    assert text.splitlines()[-1].endswith("| vq 4, gpt 4, refiner 4 |")
 
 
 def test_a_repeated_run_goes_on_and_another_one_is_refused(made, dataset, bundle):
@@ -124,7 +128,7 @@ def test_the_command_takes_a_stride_of_images_and_a_stored_auto_encoder(
     assert after["spaces"][0]["images"]["about"].startswith(
         "Every 60th frame and the one after it in the first 4 s"
     )
-    assert out.splitlines()[-2].startswith("| no_quant | ")
+    assert any(line.startswith("| no_quant | ") for line in out.splitlines())
 
 
 def test_bad_strides_and_auto_encoders_are_told_before_anything_is_trained(
@@ -202,37 +206,41 @@ def test_a_variant_is_one_setting():
     base = preset("paper")
     for name in VARIANTS:
         made = settings_of(base, name).settings("angie")
-        assert (made.vq.quant, made.generation.refine) == (
-            ("full", False) if name == "no_refine" else (name, True)
-        )
+        quant = "full" if name in ("no_refine", "paper_loss") else name
+        assert (made.vq.quant, made.generation.refine) == (quant, name != "no_refine")
+        streams = 3 if name == "naive" else 2
+        assert (made.vq.streams, made.gpt.streams, made.refiner.streams) == (streams, streams, 2)
+    lite = preset("lite")
+    assert settings_of(lite, "no_quant").settings("angie").train_gpt.schedule.most_steps == 7800
+    assert settings_of(lite, "paper_loss").settings("angie").train_refiner.velocity == 0
 
 
-def test_the_table_of_hand_made_numbers():
-    def score(value):
-        return {"mean": value, "interval": None}
+def test_the_tables_of_hand_made_numbers():
+    def row(name, keys, value):
+        return {"name": name, "scores": {key: {"mean": value} for key in keys}}
 
-    keys = COLUMNS
+    keys = (*MOTION, *PICTURES)
+    sound = [row(f"{name}, from sound", SOUND, 7.0) for name in ("full", "full-1")]
+    drawn = [row(n, PICTURES, v) for n, v in (("still", 9.0), ("full", 1.0), ("full-1", 3.0))]
+    motion = [row(n, MOTION, v) for n, v in (("still", None), ("full", 1.0), ("full-1", 3.0))]
     numbers = {
         "definitions": [{"key": key, "title": key.upper(), "digits": 1} for key in keys],
-        "spaces": [
-            {
-                "rows": [
-                    {"name": name, "scores": {key: score(value) for key in keys[:3]}}
-                    for name, value in (("full", 1.0), ("other", None))
-                ],
-                "images": {
-                    "rows": [
-                        {"name": "full", "scores": {k: score(i) for i, k in enumerate(keys[3:])}},
-                        {"name": "other", "scores": {key: score(None) for key in keys[3:]}},
-                    ]
-                },
-            }
-        ],
+        "spaces": [{"rows": motion, "images": {"rows": [*drawn, *sound]}}],
     }
-    assert table(numbers, {"C broken": {"full": 0.25}}).splitlines() == [
-        "|  | FGD | BC | DIVERSITY_HA2G | L1 | PERCEPTUAL | AED | L1_DRAWN | PERCEPTUAL_DRAWN | "
-        "C broken |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
-        "| full | 1.0 | 1.0 | 1.0 | 0.0 | 1.0 | 2.0 | 3.0 | 4.0 | 25.0 % |",
-        "| other | - | - | - | - | - | - | - | - | - |",
-    ]
+    trained = Trained(["full", "full-1"], {"cannot be drawn": 0.25}, {"vq": 3000, "gpt": 700})
+    lines = tables(numbers, None, {"full": trained}).splitlines()
+    # over two trainings: mean 2, half interval 12.706 * 1.414 / 1.414
+    pair = "2.0 ± 12.7"
+    assert lines == [
+        "Motion from the sound", "",
+        "|  | FGD | FGD_RAW | BC | PMB | DIVERSITY_HA2G | JERK | cannot be drawn | steps |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        "| still | - | - | - | - | - | - | - | - |",
+        f"| full | {' | '.join([pair] * 6)} | 25.0 % | vq 3000, gpt 700 |", "",
+        "Pictures of whole clips", "",
+        "|  | L1 | PERCEPTUAL | AED | L1_DRAWN | PERCEPTUAL_DRAWN | L1, from sound | "
+        "PERCEPTUAL, from sound | AED, from sound |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        "| still | 9.0 | 9.0 | 9.0 | 9.0 | 9.0 | - | - | - |",
+        f"| full | {' | '.join([pair] * 5)} | 7.0 ± 0.0 | 7.0 ± 0.0 | 7.0 ± 0.0 |",
+    ]  # fmt: skip
