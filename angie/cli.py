@@ -19,6 +19,7 @@ from angie import __version__
 from angie.commands.animate import ablate, animate, codebook, demo, gestures
 from angie.commands.evaluate import evaluate
 from angie.commands.prepare import phantom, prepare
+from angie.commands.study import study
 from angie.commands.train import import_mraa, info, train
 from data_prep.errors import BadInput, Note
 from data_prep.progress import console
@@ -65,6 +66,7 @@ for command in (
     train,
     evaluate,
     ablate,
+    study,
     import_mraa,
     gestures,
     codebook,
