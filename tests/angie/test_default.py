@@ -89,7 +89,8 @@ def test_a_generator_that_is_not_installed_does_not_stand_in_the_way_of_others(t
     manifest["parts"]["robot.arm"] = {**manifest["parts"]["angie.gpt"], "file": "arm.safetensors"}
     (folder / "bundle.json").write_text(json.dumps(manifest))
     bundle = Bundle.open(folder)
-    assert bundle.generators == ["angie", "robot"] and bundle.parts[-2:] == ["robot.arm", "avd"]
+    assert bundle.generators == ["angie", "tricon", "robot"]
+    assert bundle.parts[-2:] == ["robot.arm", "avd"]
     assert bundle.generator().random and bundle.chosen() == "angie"
     assert "robot: --generator robot: there is no such generator" in describe(bundle)
     with pytest.raises(BadInput, match="there is no such generator"):
