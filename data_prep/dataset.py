@@ -117,7 +117,9 @@ FORMAT = 2
 
 MANIFEST = "dataset.json"
 TABLE = "meta.csv"
-COLUMNS = ("clip_id", "speaker", "split", "source", "start", "fps", "n_frames", "duration")
+COLUMNS = (
+    "clip_id", "speaker", "split", "source", "start", "fps", "n_frames", "duration", "person",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -126,12 +128,14 @@ class Clip:
 
     Attributes:
         id: name of its files.
-        speaker: who speaks.
+        speaker: who speaks: whose way of gesturing it is.
         split: "train", "val" or "test".
         source: name of the video it was cut from.
         start: seconds from the first frame of that video.
         n_frames: frames at 25 fps. The files of a clip that is the last before another split
             hold more: what follows is the gap between the splits, and `Dataset` never gives it.
+        person: who is seen, where that is another name than the speaker's; else empty. One face
+            may gesture in several ways, and several faces in one.
     """
 
     id: str
@@ -140,6 +144,12 @@ class Clip:
     source: str
     start: float
     n_frames: int
+    person: str = ""
+
+    @property
+    def face(self) -> str:
+        """Name of who is seen."""
+        return self.person or self.speaker
 
 
 def write_table(path: Path, clips: list[Clip], fps: int) -> None:
@@ -150,7 +160,7 @@ def write_table(path: Path, clips: list[Clip], fps: int) -> None:
         table.writerow(COLUMNS)
         for c in sorted(clips, key=lambda clip: clip.id):
             where = (c.id, c.speaker, c.split, c.source, f"{c.start:.2f}")
-            table.writerow((*where, fps, c.n_frames, f"{c.n_frames / fps:.2f}"))
+            table.writerow((*where, fps, c.n_frames, f"{c.n_frames / fps:.2f}", c.person))
     os.replace(part, path)
 
 
@@ -184,6 +194,7 @@ class Dataset:
                     source=row["source"],
                     start=number(row["start"]),
                     n_frames=int(row["n_frames"]),
+                    person=row.get("person", ""),
                 )
                 for row in rows
             ]

@@ -54,6 +54,13 @@ def prepare(
             help="Name of the speaker; by default the folder's. With --pats: only this one."
         ),
     ] = None,
+    names: Annotated[
+        str | None,
+        typer.Option(
+            help="How files are named, such as '{person}_*_{style}_*': who is seen, and whose way "
+            "of gesturing it is. Nobody is then in two splits."
+        ),
+    ] = None,
     crop: Annotated[
         str | None, typer.Option(help="Square of the picture: x,y,size or x,y,w,h in pixels.")
     ] = None,
@@ -98,6 +105,8 @@ def prepare(
         check_choice("--person", person, ("left", "right", "largest"))
     if not 2 * shortest <= longest <= 60:
         raise BadInput(f"--longest {longest:g}: must be twice --shortest {shortest:g}, at most 60")
+    if names is not None and (speaker is not None or pats is not None):
+        raise BadInput("--names says who speaks; leave --speaker and --pats out")
     if add and force:
         raise BadInput("--add and --force: give one; --add keeps the dataset, --force replaces it")
     config = IngestionConfig(
@@ -113,6 +122,7 @@ def prepare(
             places,
             output,
             speaker=speaker,
+            names=names,
             jobs=jobs or cores(),
             config=config,
             models=models,

@@ -24,12 +24,14 @@ class MotionClip:
         speaker: the speaker's name.
         motion: shift (T, K, 2), cholesky (T, K, 3).
         speech: its sound, words and features.
+        person: who is seen, where that is another name; else empty.
     """
 
     name: str
     speaker: str
     motion: Motion
     speech: Speech
+    person: str = ""
 
     def __post_init__(self) -> None:
         if self.motion.frames > self.speech.frames:
@@ -62,7 +64,8 @@ def begun_later(
     )
     speech[sound]
     speech.forget_samples()  # those of all clips would fill the memory
-    return MotionClip(f"{clip.name}+{frames}", clip.speaker, clip.motion[frames:], speech)
+    name, motion = f"{clip.name}+{frames}", clip.motion[frames:]
+    return MotionClip(name, clip.speaker, motion, speech, clip.person)
 
 
 def read_clips(
@@ -82,6 +85,7 @@ def read_clips(
             speaker=clip.speaker,
             motion=read_motion(Path(folder) / f"{clip.id}.npz", estimator),
             speech=data.speech(clip),
+            person=clip.person,
         )
         for clip in data.clips(split=split)
     ]

@@ -5,6 +5,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -51,7 +52,8 @@ class MotionStatistics:
     """What training and generation must agree on, measured on the training clips.
 
     Channels are those of the motion vector: 2K of shift, then 3K of the Cholesky factor. The
-    displacement of a pose is its difference from its speaker's rest pose.
+    displacement of a pose is its difference from the speaker's rest pose; where several people are
+    seen with one way of gesturing, from their own mean pose.
 
     Attributes:
         speakers: names, P of them, sorted.
@@ -175,6 +177,14 @@ def _scale(values: np.ndarray, least: float) -> np.ndarray:
     return np.maximum(values.std(axis=0, dtype=np.float64), least)
 
 
+def _means(poses: Sequence[np.ndarray], whose: Sequence[Any]) -> dict[Any, np.ndarray]:
+    """Mean pose (5K,) over all frames of everyone, by what `whose` says of each clip."""
+    frames: dict[Any, list[np.ndarray]] = {}
+    for pose, who in zip(poses, whose, strict=True):
+        frames.setdefault(who, []).append(pose)
+    return {who: np.concatenate(own).mean(axis=0, dtype=np.float64) for who, own in frames.items()}
+
+
 def _active_regions(relative: np.ndarray, regions: int) -> np.ndarray:
     energy = np.linalg.norm(relative[:, : 2 * regions].reshape(-1, regions, 2), axis=-1).mean(0)
     count = int((energy > energy.mean()).sum())
@@ -243,13 +253,11 @@ def measure(clips: Sequence[MotionClip]) -> MotionStatistics:
     poses = [clip.motion.vector().numpy() for clip in clips]
     relative = np.concatenate([deltas(torch.from_numpy(pose)).numpy()[1:] for pose in poses])
     speakers = tuple(sorted({clip.speaker for clip in clips}))
-    rest = np.zeros((len(speakers), poses[0].shape[1]), np.float64)
-    for index, speaker in enumerate(speakers):
-        own = [pose for pose, clip in zip(poses, clips, strict=True) if clip.speaker == speaker]
-        rest[index] = np.concatenate(own).mean(axis=0, dtype=np.float64)
-    displacement = np.concatenate(
-        [pose - rest[speakers.index(clip.speaker)] for pose, clip in zip(poses, clips, strict=True)]
-    )
+    means = _means(poses, [clip.speaker for clip in clips])
+    rest = np.stack([means[speaker] for speaker in speakers])
+    seen = [(clip.speaker, clip.person) for clip in clips]
+    own = _means(poses, seen)
+    displacement = np.concatenate([pose - own[who] for pose, who in zip(poses, seen, strict=True)])
     low, high = np.quantile(displacement, [0.002, 0.998], axis=0)
     together = np.concatenate(poses)
     diagonal_low, diagonal_high = _diagonals(together[:, 2 * regions :], regions)

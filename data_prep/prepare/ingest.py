@@ -121,7 +121,10 @@ def _ingest(
             outcome.dropped[reason] += len(piece.frames) / FPS  # type: ignore[assignment]
             continue
         write_clip(folder, piece, words)
-        clip = Clip(piece.id, source.speaker, "", source.name, piece.first / FPS, len(piece.frames))
+        clip = Clip(
+            piece.id, source.speaker, "", source.name, piece.first / FPS, len(piece.frames),
+            source.person,
+        )  # fmt: skip
         height = 0.0 if plan.take.span.face is None else plan.take.span.face.h
         outcome.clips.append(clip)
         outcome.details[clip.id] = ClipDetail(plan.number, height, motion(piece.frames))

@@ -20,8 +20,15 @@ from data_prep.prepare.pats import (
 )
 from data_prep.prepare.record import Record, key_of, read_records, write_json
 from data_prep.prepare.report import write_report
-from data_prep.prepare.source import IngestionConfig, Source, find_sources, name_sources
-from data_prep.prepare.split import BY_SOURCE, split_clips
+from data_prep.prepare.source import (
+    IngestionConfig,
+    Source,
+    find_sources,
+    name_sources,
+    named_by,
+    names_pattern,
+)
+from data_prep.prepare.split import BY_PERSON, BY_SOURCE, split_clips
 from data_prep.prepare.summary import Summary
 from data_prep.prepare.workplace import Workplace, check_place, making, workplace
 from data_prep.progress import progress, spread
@@ -45,6 +52,7 @@ def prepare(
     output: Path,
     *,
     speaker: str | None = None,
+    names: str | None = None,
     jobs: int = 1,
     config: IngestionConfig | None = None,
     models: Path | None = None,
@@ -63,6 +71,8 @@ def prepare(
         output: the dataset to write; it appears when it is whole.
         speaker: who speaks in all of them; None takes the folders' or files' names. With `pats`
             the one speaker whose intervals are cut.
+        names: where the names of the files tell who is seen and whose way of gesturing it is, see
+            `names_pattern`.
         jobs: processes.
         config: how clips are made; None for the defaults.
         models: folder of networks (`data_prep.speaker.networks`), whose one for faces is used;
@@ -88,6 +98,7 @@ def prepare(
     intervals, missing = read_intervals(pats, speaker) if pats is not None else ([], [])
     if pats is None:
         sources = find_sources(videos, speaker)
+        sources = sources if names is None else named_by(names_pattern(names), sources)
     else:
         sources, absent = pats_sources(intervals, videos)
         missing += absent
@@ -104,8 +115,8 @@ def prepare(
         if not any(record.clips for record in records):
             raise BadInput(_nothing_kept(records))
         if pats is not None:
-            names = {order.source.name for order in orders}
-            missing += not_kept(intervals, [r.outcome for r in records if r.name in names])
+            wanted_now = {order.source.name for order in orders}
+            missing += not_kept(intervals, [r.outcome for r in records if r.name in wanted_now])
         summary = Summary(
             path=output,
             records=tuple(records),
@@ -213,7 +224,8 @@ def _splits_before(dataset: Dataset | None) -> dict[str, str]:
     if dataset is None:
         return {}
     rules = dataset.manifest["splits"]
-    return {c.source: c.split for c in dataset.clips() if rules.get(c.speaker) == BY_SOURCE}
+    whole = (BY_SOURCE, BY_PERSON)
+    return {c.source: c.split for c in dataset.clips() if rules.get(c.speaker) in whole}
 
 
 def _nothing_kept(records: list[Record]) -> str:
@@ -260,6 +272,7 @@ def _manifest_entry(record: Record) -> dict[str, Any]:
         "file": outcome.source.path.name,
         "sha256": outcome.sha256,
         "speaker": outcome.source.speaker,
+        "person": outcome.source.person,
         "video": None if outcome.info is None else asdict(outcome.info),
         "settings": asdict(record.config),
         "crop": None if used is None else asdict(used),

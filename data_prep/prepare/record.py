@@ -66,6 +66,7 @@ def key_of(source: Source, video: str, transcript: str, config: IngestionConfig)
         config: how clips are made.
     """
     what = [PROCEDURE, source.name, source.speaker, source.intervals, video, transcript]
+    what += [source.person] if source.person else []
     return hashlib.sha256(json.dumps([*what, asdict(config)]).encode()).hexdigest()
 
 
@@ -111,6 +112,7 @@ def write_record(folder: Path, record: Record) -> None:
         "file": outcome.source.path.name,
         "speaker": outcome.source.speaker,
         "intervals": outcome.source.intervals,
+        "person": outcome.source.person,
     }
     content = {
         "key": record.key,
@@ -146,7 +148,8 @@ def read_record(path: Path) -> Record | None:
 def _record(content: dict[str, Any]) -> Record:
     entry = content["source"]
     intervals = tuple((str(i), float(a), float(b)) for i, a, b in entry["intervals"])
-    source = Source(Path(entry["file"]), entry["speaker"], entry["name"], intervals)
+    file, person = Path(entry["file"]), entry.get("person", "")
+    source = Source(file, entry["speaker"], entry["name"], intervals, person)
     config = content["config"]
     crop = config.pop("crop")
     info = content["info"]

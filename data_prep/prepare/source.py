@@ -34,12 +34,14 @@ class Source:
         name: its name in the dataset, unique there; clip ids begin with it.
         intervals: parts to cut, `(id, start, end)` in seconds as the file counts them; empty
             for the whole video.
+        person: who is seen, where that is another name than the speaker's; else empty.
     """
 
     path: Path
     speaker: str
     name: str
     intervals: tuple[tuple[str, float, float], ...] = ()
+    person: str = ""
 
 
 def plain(text: str) -> str:
@@ -74,6 +76,46 @@ def _walk(folder: Path) -> Iterator[Path]:
         for name in files:
             if Path(name).suffix.lower() in EXTENSIONS and not name.startswith("."):
                 yield Path(here) / name
+
+
+def names_pattern(names: str) -> re.Pattern[str]:
+    """What `--names` means: `{person}` any text, `{style}` and `*` any without underscores.
+
+    `{person}_*_{style}_*` finds in `AIAN_F_1_Casual_bella_005` the person `AIAN_F_1` and the style
+    `bella`.
+
+    Raises:
+        BadInput: neither of the two is in it, or one is twice.
+    """
+    parts = {"{person}": "(?P<person>.+)", "{style}": "(?P<style>[^_]+)", "*": "[^_]*"}
+    pieces = re.split(r"(\{person\}|\{style\}|\*)", names)
+    try:
+        pattern = re.compile("".join(parts.get(piece) or re.escape(piece) for piece in pieces))
+    except re.error:
+        pattern = re.compile("")
+    if not pattern.groupindex:
+        raise BadInput(f"--names {names}: put {{person}} and {{style}} into it, each once")
+    return pattern
+
+
+def named_by(pattern: re.Pattern[str], sources: Sequence[Source]) -> list[Source]:
+    """Sources with the person and the style that the names of their files tell.
+
+    Raises:
+        BadInput: a name that is built otherwise.
+    """
+    told = []
+    for source in sources:
+        match = pattern.fullmatch(source.path.stem)
+        if match is None:
+            raise BadInput(
+                f"{source.path}: is not named as --names says; rename it, or leave it out"
+            )
+        found = {key: plain(value) for key, value in match.groupdict().items()}
+        style = found.get("style") or found.get("person", "")
+        person = found.get("person", "")
+        told.append(replace(source, speaker=style, person="" if person == style else person))
+    return told
 
 
 def find_sources(paths: Sequence[Path], speaker: str | None = None) -> list[Source]:
@@ -117,7 +159,8 @@ def name_sources(sources: Sequence[Source], taken: Collection[str] = ()) -> list
     for source in sources:
         if not source.name:
             stem = plain(source.path.stem)
-            first = stem if stem.startswith(source.speaker) else f"{source.speaker}_{stem}"
+            told = source.person or stem.startswith(source.speaker)
+            first = stem if told else f"{source.speaker}_{stem}"
             first = first.encode()[:_LONGEST_NAME].decode(errors="ignore")
             name, number = first, 1
             while name.lower() in used:

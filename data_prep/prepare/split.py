@@ -29,6 +29,9 @@ SPLITS = ("train", "val", "test")
 BY_SOURCE = "by source"
 """The rule for speakers with `MIN_SOURCES` sources."""
 
+BY_PERSON = "by person"
+"""The rule where people are told apart from speakers: nobody is seen in two splits."""
+
 
 @dataclass(frozen=True)
 class Split:
@@ -36,8 +39,8 @@ class Split:
 
     Attributes:
         clips: with their splits, in the given order; shortened or left out where a gap is made.
-        rules: for each speaker `BY_SOURCE`, "in time, ... s apart", "train only" for a single clip,
-            or "one source for testing, no validation" for two of a single clip.
+        rules: for each speaker `BY_SOURCE`, `BY_PERSON`, "in time, ... s apart", "train only" for
+            a single clip, or "one source for testing, no validation" for two of a single clip.
         gaps: seconds of each source that were left unused between splits.
     """
 
@@ -53,16 +56,23 @@ def split_clips(clips: Sequence[Clip], before: Mapping[str, str] | None = None) 
     order of the hashes of their names, so that nothing depends on the order of recording.
     With fewer, the last part in time of each source is for testing, before it lies
     validation if there are clips enough, and at least `GAP` frames between are left unused.
+    Where people are told apart from speakers, and there are `MIN_SOURCES` of them, they are what
+    is divided, as sources else are, over all speakers together.
 
     Args:
         clips: with any splits; they are not looked at.
         before: split of each source that was divided by source in an earlier run; it stays.
     """
-    groups: dict[str, list[Clip]] = defaultdict(list)
-    for clip in clips:
-        groups[clip.speaker].append(clip)
     done: dict[str, Clip] = {}
     rules: dict[str, str] = {}
+    seen = [clip for clip in clips if clip.person]
+    if len({clip.person for clip in seen}) >= MIN_SOURCES:
+        done.update((clip.id, clip) for clip in _by_source(seen, before or {}, "person"))
+        rules.update((clip.speaker, BY_PERSON) for clip in seen)
+    groups: dict[str, list[Clip]] = defaultdict(list)
+    for clip in clips:
+        if clip.id not in done:
+            groups[clip.speaker].append(clip)
     for speaker, group in sorted(groups.items()):
         if len({clip.source for clip in group}) >= MIN_SOURCES:
             divided, rules[speaker] = _by_source(group, before or {}), BY_SOURCE
@@ -77,11 +87,14 @@ def split_clips(clips: Sequence[Clip], before: Mapping[str, str] | None = None) 
     return Split([done[c.id] for c in clips if c.id in done], rules, dict(gaps))
 
 
-def _by_source(clips: list[Clip], before: Mapping[str, str]) -> list[Clip]:
+def _by_source(clips: list[Clip], before: Mapping[str, str], what: str = "source") -> list[Clip]:
+    """Clips of which no two of one source, or of one person, are in different splits."""
     frames: dict[str, int] = defaultdict(int)
+    of: dict[str, str] = {}
     for clip in clips:
-        frames[clip.source] += clip.n_frames
-    of = {source: before[source] for source in frames if source in before}
+        frames[getattr(clip, what)] += clip.n_frames
+        if clip.source in before:
+            of[getattr(clip, what)] = before[clip.source]
     free = sorted(
         (source for source in frames if source not in of),
         key=lambda name: hashlib.sha256(name.encode()).digest(),
@@ -95,7 +108,7 @@ def _by_source(clips: list[Clip], before: Mapping[str, str]) -> list[Clip]:
         of.update((source, split) for source in chosen)
         free = [source for source in free if source not in chosen]
     of.update((source, "train") for source in free)
-    return [replace(clip, split=of[clip.source]) for clip in clips]
+    return [replace(clip, split=of[getattr(clip, what)]) for clip in clips]
 
 
 def _fill(

@@ -17,7 +17,15 @@ from data_prep.prepare import clips as clip_files
 from data_prep.prepare import ingest as making
 from data_prep.prepare.clips import LONGEST, SHORTEST, clip_bounds
 from data_prep.prepare.prepare import prepare
-from data_prep.prepare.source import IngestionConfig, find_sources, plain
+from data_prep.prepare.source import (
+    IngestionConfig,
+    Source,
+    find_sources,
+    name_sources,
+    named_by,
+    names_pattern,
+    plain,
+)
 from data_prep.speaker.crop import Crop
 
 Draw = Callable[..., np.ndarray]
@@ -239,6 +247,21 @@ def test_a_folder_that_cannot_be_read_is_told(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="shut: cannot be read .*name the other"):
         find_sources([tmp_path])
     (tmp_path / "ann" / "shut").chmod(0o700)
+
+
+def test_names_of_files_tell_who_is_seen_and_whose_way_of_gesturing_it_is(tmp_path: Path) -> None:
+    files = [tmp_path / f"{stem}.mp4" for stem in ("AIAN_F_1_Casual_bella_005", "Bo_M_2_X_adam_0")]
+    sources = [Source(path, "folder", "") for path in files]
+    told = named_by(names_pattern("{person}_*_{style}_*"), sources)
+    assert [(s.person, s.speaker) for s in told] == [("AIAN_F_1", "bella"), ("Bo_M_2", "adam")]
+    assert [s.name for s in name_sources(told)] == [path.stem for path in files]
+    (alone,) = named_by(names_pattern("{person}_*"), [Source(tmp_path / "ann_1.mp4", "x", "")])
+    assert (alone.person, alone.speaker) == ("", "ann")  # one and the same
+    with pytest.raises(BadInput, match=r"x\.mp4: is not named as --names says"):
+        named_by(names_pattern("{person}_*"), [Source(tmp_path / "x.mp4", "x", "")])
+    for wrong in ("*_*", "{person}_{person}", "["):
+        with pytest.raises(BadInput, match="--names .*: put {person} and {style} into it"):
+            names_pattern(wrong)
 
 
 def test_sources_are_named_by_folder_or_file(tmp_path: Path) -> None:

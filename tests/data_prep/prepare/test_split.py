@@ -1,6 +1,7 @@
 """Splits share no source where there are three, and lie a second apart where there are fewer."""
 
 from collections import defaultdict
+from dataclasses import replace
 
 import pytest
 
@@ -109,3 +110,26 @@ def test_few_clips() -> None:
     }
     assert [c.id for c in split.clips if c.split == "test"] == ["b1_00", "d0_02"]
     assert {c.split for c in split.clips} == {"train", "test"}
+
+
+def test_nobody_is_seen_in_two_splits_where_faces_are_told_apart_from_speakers() -> None:
+    clips = [
+        replace(clip, person=f"face{i % 5}")
+        for speaker in ("ann", "bob")
+        for i, clip in enumerate(clips_of(speaker, [[250]] * 10))
+    ]
+    split = split_clips(clips)
+    faces = {name: {c.person for c in split.clips if c.split == name} for name in ("train", "test")}
+    faces["val"] = {c.person for c in split.clips if c.split == "val"}
+    assert sum(len(own) for own in faces.values()) == 5 == len(set.union(*faces.values()))
+    assert {c.speaker for c in split.clips if c.split == "train"} == {"ann", "bob"}
+    assert split.rules == {"ann": "by person", "bob": "by person"}
+    before = {clip.source: clip.split for clip in split.clips}
+    new = [Clip("new_00", "eve", "", "new", 0.0, 250, split.clips[0].person)]
+    later = {c.id: c.split for c in split_clips([*clips, *new], before).clips}
+    assert later["new_00"] == split.clips[0].split
+
+
+def test_short_clips_are_not_lengthened_by_what_is_left_between() -> None:
+    split = split_clips(clips_of("a", [[40, 250]]))
+    assert [c.n_frames for c in split.clips] == [40, 250]
