@@ -86,7 +86,7 @@ def _lite() -> Preset:
             perceptual_scales=(0.5, 0.25, 0.125),
             equivariance_shift=2.0,
             equivariance_affine=1.0,
-            augmentation=Augmentation(zoom=0.15),
+            augmentation=Augmentation(zoom=0.15, background=0.8),
             warmup_steps=3000,
         ),
         train_avd=AvdTraining(

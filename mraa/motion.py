@@ -177,6 +177,28 @@ def render_floor(motion: Motion, low: Tensor, high: Tensor, start: Motion | None
     return Motion(motion.shift, torch.stack([l1, l2, l3], dim=-1))
 
 
+def amplified(motion: Motion, pose: Motion, amplitude: Tensor | float) -> Motion:
+    """Motion with its distance from a pose scaled; the pose itself where the amplitude is 0.
+
+    Shifts and Cholesky factors are scaled alike. Up to 1 a factor lies between two proper ones and
+    so is one; above, its diagonal is held above half of the smaller of the two, so that
+    covariances stay positive definite.
+
+    Args:
+        motion: T frames.
+        pose: one frame.
+        amplitude: (K,) of every region, or one for all; not negative.
+    """
+    scale = torch.as_tensor(amplitude).reshape(-1, 1)
+    shift = pose.shift + scale * (motion.shift - pose.shift)
+    factor = pose.cholesky + scale * (motion.cholesky - pose.cholesky)
+    if motion.has_extent:
+        least = torch.minimum(motion.cholesky, pose.cholesky)[..., ::2] / 2
+        l1, l3 = torch.maximum(factor[..., ::2], least).unbind(-1)
+        factor = torch.stack([l1, factor[..., 1], l3], dim=-1)
+    return Motion(shift, factor)
+
+
 def write_motion(path: Path, motion: Motion, estimator: str = "") -> None:
     """Write the motion of a clip as .npz: shift (T,K,2), cholesky (T,K,3), and its origin.
 

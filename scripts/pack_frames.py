@@ -2,7 +2,7 @@
 
     python scripts/pack_frames.py KIND FOLDER ARCHIVE [--models FOLDER] [--stride N] [--crf N]
 
-KIND says what FOLDER holds: `signer` (one person before a blue screen, see `Screen`), `avatars` or
+KIND says what FOLDER holds: `signer` (one person before a blue screen), `avatars` or
 `phantom` (videos with truth). Each video is cut as the project cuts a photo, every `stride`-th
 frame is kept, and ARCHIVE gets pieces `KIND-00.mp4` ... of 512 frames and `KIND.npz`:
 
@@ -12,8 +12,9 @@ frame is kept, and ARCHIVE gets pieces `KIND-00.mp4` ... of 512 frames and `KIND
     seen     (N, 3) bool, whether they are in the picture
     pose     (N,) uint8, 1 where the two hands are far apart and in the picture (open)
 
-With a blue screen the picture is laid over `GREY`, premultiplied, and `KIND-matte-00.mp4` ... says
-how much of it is person: over another background `new` it is `picture + (1 - matte) (new - GREY)`.
+With a blue screen (`mraa.training.backgrounds`) the picture is laid over `GREY`, premultiplied, and
+`KIND-matte-00.mp4` ... says how much of it is person: over another background `new` it is
+`picture + (1 - matte) (new - GREY)`.
 Only training and validation frames are packed; `--test` packs the test frames alone.
 """
 
@@ -30,9 +31,7 @@ import numpy as np
 from data_prep.errors import BadInput, call_script
 from data_prep.rates import IMAGE_SIZE
 from data_prep.speaker.crop import Crop, cut_out, find_faces, median_face, speaker_crop
-
-GREY = (104, 104, 104)
-"""Colour, RGB, that a keyed person is laid over."""
+from mraa.training.backgrounds import Screen
 
 PIECE = 512
 """Frames of a video file, so that many can be decoded at once."""
@@ -67,46 +66,6 @@ def splits(kind: str, names: list[str]) -> dict[str, int]:
     validation, test = HELD[kind]
     held = {who: 1 + (i >= validation) for i, who in enumerate(order[: validation + test])}
     return {n: held.get(person(n), 0) for n in names}
-
-
-class Screen:
-    """A person before a blue screen, keyed.
-
-    The screen's colour is a quadratic over the picture, fitted to what is plainly blue. How blue a
-    pixel is, `min(G, B) - R`, falls from the screen's value to nothing over the person's edge.
-    """
-
-    def __init__(self, picture: np.ndarray) -> None:
-        y, x = np.mgrid[-1 : 1 : picture.shape[0] * 1j, -1 : 1 : picture.shape[1] * 1j]
-        self.basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], -1).astype(np.float32)
-        blue = _blue(picture.astype(np.float32))
-        plain = blue > 0.75 * np.percentile(blue, 95)
-        plain = cv2.erode(plain.astype(np.uint8), np.ones((5, 5))).astype(bool)
-        fit = np.linalg.lstsq(self.basis[plain], picture[plain].astype(np.float32), rcond=None)[0]
-        self.colour = self.basis @ fit
-
-    def key(self, picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The person over `GREY` (H, W, 3) uint8, and the matte (H, W) uint8."""
-        image = picture.astype(np.float32)
-        share = _blue(image) / np.maximum(_blue(self.colour), 30)
-        matte = 1 - np.clip((share - 0.12) / (0.86 - 0.12), 0, 1)
-        matte = matte * matte * (3 - 2 * matte)
-        person = np.clip(image - (1 - matte)[..., None] * self.colour, 0, 255)
-        spill = np.maximum(np.minimum(person[..., 1], person[..., 2]) - person[..., 0], 0)
-        person[..., 1] -= spill
-        person[..., 2] -= spill
-        # what was blue by spill was light all the same
-        person += 0.3 * spill[..., None]
-        over = person + (1 - matte)[..., None] * np.float32(GREY)
-        return _bytes(over), _bytes(255 * matte)
-
-
-def _bytes(image: np.ndarray) -> np.ndarray:
-    return np.rint(np.clip(image, 0, 255)).astype(np.uint8)
-
-
-def _blue(image: np.ndarray) -> np.ndarray:
-    return np.minimum(image[..., 1], image[..., 2]) - image[..., 0]
 
 
 class Writer:
@@ -219,8 +178,10 @@ def main() -> None:
     given.archive.mkdir(parents=True, exist_ok=True)
     keyed, people = given.kind == "signer", None
     if keyed:
-        from pictures.people import People
+        from data_prep.speaker.people import People
 
+        if given.models is None:
+            raise BadInput("signer: has no truth; give the networks with --models")
         people = People(given.models)
     pictures = Writer(given.archive / given.kind, given.crf)
     mattes = Writer(given.archive / f"{given.kind}-matte", given.crf + 11)

@@ -5,6 +5,7 @@ Weights to begin with: of a file, or of a training on smaller images.
 
 import copy
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -24,7 +25,7 @@ from mraa.regions import RegionEstimator
 from mraa.renderer import Renderer, RendererConfig
 from mraa.training.curves import sample_sheet, write_sheet
 from mraa.training.objective import Objective, RendererTraining, images
-from mraa.training.pairs import FramePairs
+from mraa.training.pairs import FramePairs, MixedPairs, Share
 from mraa.training.run import Run, RunConfig
 
 
@@ -84,23 +85,23 @@ def train_renderer(
     run_config: RunConfig | None = None,
     resume: bool = False,
     teacher: RegionEstimator | None = None,
+    also: Sequence[Share] = (),
 ) -> Renderer:
-    """Train a renderer on the training clips of a dataset.
+    """Train a renderer on the training clips of one or several datasets.
 
-    `teacher`: trained region estimator to follow, with `training.distill_weight`.
+    `teacher`: trained region estimator to follow, with `training.distill_weight`. `also`: further
+    datasets.
 
     Returns:
         The renderer in eval mode on the CPU.
     """
-    clips = dataset.clips("train")
-    steps = training.steps or max(
-        1, training.epochs * training.repeats * len(clips) // training.batch
-    )
+    clips = sum(len(one.clips("train")) for one in (dataset, *(part.dataset for part in also)))
+    steps = training.steps or max(1, training.epochs * training.repeats * clips // training.batch)
     torch.manual_seed(seed)
     renderer = Renderer(config)
     if training.initial:
         load_initial(renderer, Path(training.initial))
-    how: dict[str, Any] = {"seed": seed, "run_config": run_config, "resume": resume}
+    how: dict[str, Any] = {"seed": seed, "run_config": run_config, "resume": resume, "also": also}
     if training.warmup_steps:
         size = training.warmup_size
         small = RendererStage("warmup", training.warmup_steps, size, (), True, training.warmup_gap)
@@ -147,6 +148,7 @@ def _train(
     run_config: RunConfig | None,
     resume: bool,
     teacher: RegionEstimator | None,
+    also: Sequence[Share],
 ) -> None:
     """One course of training; `renderer` is left with the weights to publish."""
     run = Run(
@@ -173,8 +175,7 @@ def _train(
     if average is not None:
         run.add("average", average)
         best = cast(Renderer, average.module)
-    clips = dataset.clips("train")
-    pairs = FramePairs(dataset, clips, training.augmentation, stage.size, stage.gap)
+    pairs = pairs_of(dataset, also, training, stage)
     batches = run.batches(pairs, training.batch, training.accumulate)
     for step in run.steps():
         for _ in run.parts(training.accumulate, "renderer"):
@@ -192,6 +193,17 @@ def _train(
             write_sheet(folder / "sheets" / f"{stage.name}-{step:07d}.png", sheet)
             run.curves.image("samples", sheet, step)
     renderer.load_state_dict(best.state_dict())
+
+
+def pairs_of(
+    dataset: Dataset, also: Sequence[Share], training: RendererTraining, stage: RendererStage
+) -> FramePairs | MixedPairs:
+    """The pairs of a course of training."""
+    parts = [
+        FramePairs(one, one.clips("train"), training.augmentation, stage.size, stage.gap)
+        for one in (dataset, *(share.dataset for share in also))
+    ]
+    return MixedPairs(parts, [1.0, *(share.weight for share in also)]) if also else parts[0]
 
 
 def moving_average(model: nn.Module, decay: float) -> AveragedModel:

@@ -4,7 +4,16 @@ import torch
 
 from data_prep.errors import BadInput
 from mraa.affine import decode_cholesky, encode_cholesky
-from mraa.motion import Motion, deltas, integrate, positive, read_motion, render_floor, write_motion
+from mraa.motion import (
+    Motion,
+    amplified,
+    deltas,
+    integrate,
+    positive,
+    read_motion,
+    render_floor,
+    write_motion,
+)
 
 
 def covariances(count: int, seed: int = 0) -> torch.Tensor:
@@ -144,3 +153,17 @@ def test_joints_are_no_motion_of_regions(tmp_path):
     np.save(tmp_path / "a.npy", np.zeros((5, 3, 2)))
     with pytest.raises(BadInput, match=r"a\.npy: .*a single array.*wanted is an \.npz"):
         read_motion(tmp_path / "a.npy")
+
+
+def test_amplitude_scales_the_way_from_a_pose_and_keeps_covariances_proper():
+    pose = Motion(torch.zeros(1, 2, 2), torch.tensor([[[0.2, 0.1, 0.1]] * 2]))
+    motion = Motion(torch.ones(3, 2, 2), torch.tensor([[[0.1, -0.1, 0.4]] * 2] * 3))
+    half = amplified(motion, pose, torch.tensor([0.5, 0.0]))
+    assert torch.equal(half.shift[:, 0], torch.full((3, 2), 0.5))
+    torch.testing.assert_close(half.cholesky[0], torch.tensor([[0.15, 0.0, 0.25], [0.2, 0.1, 0.1]]))
+    assert torch.equal(half.shift[:, 1], torch.zeros(3, 2))
+    assert torch.allclose(amplified(motion, pose, 1.0).vector(), motion.vector())
+    # 0.2 + 3 (0.1 - 0.2) is negative: l1 stays at half of the lesser of the two
+    assert amplified(motion, pose, 3.0).cholesky[0, 0].tolist() == pytest.approx([0.05, -0.5, 1.0])
+    joints = Motion.of_points(torch.ones(3, 2, 2))
+    assert torch.equal(amplified(joints, joints[:1], 0.3).shift, joints.shift)

@@ -10,7 +10,7 @@ from safetensors.torch import load_file, save_file
 from data_prep.errors import BadInput
 from mraa.renderer import GeneratorConfig, HourglassConfig, Renderer, RendererConfig
 from mraa.training.objective import Objective, RendererTraining, images
-from mraa.training.pairs import Augmentation, FramePairs, augment
+from mraa.training.pairs import Augmentation, FramePairs, MixedPairs, Share, augment
 from mraa.training.renderer import (
     adam,
     load_initial,
@@ -37,11 +37,13 @@ def test_a_tiny_renderer_beats_copying_the_source(bundle):
     assert score["l1"] < score["copy_l1"]
 
 
-def few_steps(dataset, folder, steps, resume=False, **changes):
+def few_steps(dataset, folder, steps, resume=False, also=(), **changes):
     settings = {"batch": 2, "perceptual_width": 4, "perceptual_scales": (0.25,), "milestones": ()}
     training = RendererTraining(steps=steps, **{**settings, **changes})
     how = RunConfig(log_every=1)
-    return train_renderer(dataset, SMALL, training, folder, run_config=how, resume=resume)
+    return train_renderer(
+        dataset, SMALL, training, folder, run_config=how, resume=resume, also=also
+    )
 
 
 def test_resumed_training_is_the_uninterrupted_one(dataset, tmp_path):
@@ -200,6 +202,35 @@ def test_pairs_are_frames_of_one_clip_in_order(dataset):
         first, second = (int(np.abs(frames.astype(int) - f).sum((1, 2, 3)).argmin()) for f in pair)
         assert first < second
         assert np.abs(frames[first].astype(int) - pair[0]).max() <= 1  # rounding of the jitter
+
+
+class Named:
+    """Pairs of a dataset, of which only name and clip are known."""
+
+    def __init__(self, name, clips):
+        self.name, self.clips = name, clips
+
+    def __len__(self):
+        return self.clips
+
+    def draw(self, index, random):
+        return self.name, index
+
+
+def test_datasets_are_drawn_from_by_weight_and_their_clips_evenly():
+    mixed = MixedPairs([Named("a", 2), Named("b", 50)], [1.0, 3.0])
+    assert len(mixed) == 52
+    drawn = [mixed.draw(0, np.random.default_rng(seed)) for seed in range(2000)]
+    names, clips = zip(*drawn, strict=True)
+    assert names.count("a") == pytest.approx(500, abs=60)  # three standard deviations
+    assert clips.count(0) == pytest.approx(250 + 30, abs=60)
+    assert drawn[:9] == [mixed.draw(7, np.random.default_rng(seed)) for seed in range(9)]
+
+
+def test_a_further_dataset_changes_what_is_learnt(dataset, tmp_path):
+    alone = few_steps(dataset, tmp_path / "alone", 2).state_dict()
+    both = few_steps(dataset, tmp_path / "both", 2, also=[Share(dataset, 2.0)]).state_dict()
+    assert not all(torch.equal(alone[k], both[k]) for k in alone)
 
 
 def test_augmentation_treats_both_frames_alike():
