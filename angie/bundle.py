@@ -7,12 +7,8 @@
     GENERATOR.PART.safetensors  weights or data of a gesture generator; there may be several
     train/                      checkpoints, curves and caches of training; may be deleted
 
-Every part remembers the hashes of the parts that it was trained on; loading refuses others.
-
-Styles: whose way of gesturing a generator takes. A style is what a generator has learnt of a
-training speaker and nothing else. Pose, place and size stay those of the photo, or of whatever
-motion begins with; drawing a stranger toward the rest pose of the training speaker would move the
-body to where that one sat.
+Every part remembers the hashes of what it was trained on; loading refuses others. Motion knows of
+the renderer only its region estimator, so that one that draws better may take its place.
 
 What ships with the package: a speaker bundle, a photo and a recording of our own.
 """
@@ -33,12 +29,14 @@ from angie import __version__
 from angie.config import Preset, stored
 from angie.generators import DEFAULT as DEFAULT_GENERATOR
 from angie.generators import family, upgraded
-from angie.generators.base import GestureGenerator, read_style
+from angie.generators.base import GestureGenerator
 from angie.motion.statistics import MotionStatistics
 from angie.parts import (
     OPTIONAL,
+    REGIONS,
     UPSTREAM,
     changed,
+    hash_of_regions,
     load_weights,
     sizes_of,
     source_commit,
@@ -52,8 +50,8 @@ from data_prep.tensors import load_tensors, save_tensors
 from mraa.avd import AvdNetwork
 from mraa.renderer import Renderer, make_avd
 
-FORMAT = 2
-"""Version of the bundle's layout; loading refuses newer ones and reads format 1."""
+FORMAT = 3
+"""Version of the bundle's layout; loading refuses newer ones and reads formats 1 and 2."""
 
 TRAIN = "train"
 """Folder in a bundle for checkpoints, curves and caches."""
@@ -115,7 +113,7 @@ class Bundle:
             preset = stored(manifest["config"])
             bundle = cls(folder, manifest, preset, version)
             for part, entry in manifest["parts"].items():
-                if entry.keys() != _ENTRY or not SAFE.fullmatch(entry["file"]):
+                if entry.keys() - {REGIONS} != _ENTRY or not SAFE.fullmatch(entry["file"]):
                     raise BadInput(f"{part} is not described as it should be")
                 if entry["settings"] is None:
                     entry["settings"] = bundle.sizes_of(part)
@@ -134,7 +132,7 @@ class Bundle:
 
     def write(self) -> None:
         """Write the manifest, whole or not at all."""
-        self.manifest["config"] = dataclasses.asdict(self.preset)
+        self.manifest |= {"format": FORMAT, "config": dataclasses.asdict(self.preset)}
         with whole_file(self.folder / "bundle.json", force=True) as part:
             part.write_text(json.dumps(self.manifest, indent=1) + "\n")
 
@@ -215,6 +213,43 @@ class Bundle:
         """Hash of a part as the manifest states it."""
         return str(self.manifest["parts"][part]["sha256"])
 
+    def regions(self) -> str:
+        """Hash of the region estimator; BadInput where there is no usable renderer."""
+        path = self.path_of("renderer")
+        entry = self.manifest["parts"]["renderer"]
+        if REGIONS not in entry:  # of format 2
+            entry[REGIONS] = hash_of_regions(path)
+        return str(entry[REGIONS])
+
+    def chain(self, part: str) -> dict[str, str]:
+        """Hashes of what a part is trained on, by name."""
+        parts = self.upstream(part)
+        known = {name: self.hash_of(name) for name in parts if name != "renderer"}
+        return {REGIONS: self.regions(), **known} if "renderer" in parts else known
+
+    def motion_identity(self, data: str) -> str:
+        """What the motion of a dataset with the hash `data` is measured by and on."""
+        statistics = self.manifest["parts"].get("statistics", {"upstream": {}})
+        before = statistics["upstream"].get("renderer")
+        return f"{before if before == self.hash_of('renderer') else self.regions()}-{data}"
+
+    def _fits(self, part: str, name: str) -> bool:
+        """Whether a part was trained on the present part `name`."""
+        before = self.manifest["parts"][part]["upstream"]
+        if name == "renderer" and REGIONS in before:
+            return bool(before[REGIONS] == self.regions())
+        return bool(before.get(name) == self.hash_of(name))
+
+    def name_regions(self) -> None:
+        """Let the parts that were trained on the present renderer name its regions alone."""
+        if "renderer" not in self.manifest["parts"]:
+            return
+        for entry in self.manifest["parts"].values():
+            before = entry["upstream"]
+            if before.get("renderer") == self.hash_of("renderer"):
+                del before["renderer"]
+                before[REGIONS] = self.regions()
+
     def report(self, part: str) -> dict[str, Any]:
         """What was said of a part when it was trained."""
         report: dict[str, Any] = self.manifest["parts"][part]["report"]
@@ -229,6 +264,8 @@ class Bundle:
             report: what it was trained on and how well it does.
         """
         path = self.folder / f"{part}.safetensors"
+        if part == "renderer" and self.has(part):
+            self.name_regions()
         if isinstance(tensors, Path):
             os.replace(tensors, path)
         else:
@@ -237,10 +274,12 @@ class Bundle:
         self.manifest["parts"][part] = {
             "file": path.name,
             "sha256": sha256(path),
-            "upstream": {name: self.hash_of(name) for name in self.upstream(part)},
+            "upstream": self.chain(part),
             "settings": self.sizes_of(part),
             "report": {"angie": __version__, "commit": source_commit(), **report},
         }
+        if part == "renderer":
+            self.manifest["parts"][part][REGIONS] = hash_of_regions(path)
         self.write()
 
     def path_of(self, part: str) -> Path:
@@ -270,9 +309,10 @@ class Bundle:
             )
         for name in self.upstream(part):
             self.path_of(name)
-            if entry["upstream"].get(name) != self.hash_of(name):
+            if not self._fits(part, name):
+                other = "renderer with other regions" if name == "renderer" else name
                 raise BadInput(
-                    f"{self.folder}: {part} was trained on another {name}; run {how} again"
+                    f"{self.folder}: {part} was trained on another {other}; run {how} again"
                 )
         return path
 
@@ -337,38 +377,6 @@ class Bundle:
                 "animate --drive VIDEO works without"
             )
         return family(name).load(self, precision)
-
-
-def styles(bundle: Bundle, generator: str | None = None) -> tuple[str, ...]:
-    """Names of the styles that a generator tells apart; none if there is but one.
-
-    Raises:
-        BadInput: it tells some apart, but was not measured on anyone yet.
-    """
-    name = bundle.chosen(generator)
-    return family(name).styles(bundle.settings(name), bundle.statistics())
-
-
-def check_style(bundle: Bundle, style: str | None, generator: str | None = None) -> None:
-    """Refuse a style that a bundle does not have, before anything long begins.
-
-    Args:
-        bundle: a speaker bundle.
-        style: name of a training speaker, or what else `angie.generators.base.read_style` reads.
-        generator: whose style.
-
-    Raises:
-        BadInput: an unknown name, or a model that knows but one style.
-    """
-    if style is None:
-        return
-    if not styles(bundle, generator):
-        advice = family(bundle.chosen(generator)).style_advice
-        more = f"; models trained with {advice} have one for each speaker" if advice else ""
-        raise BadInput(f"--style {style}: {bundle.folder} has one style only{more}")
-    name = bundle.chosen(generator)
-    size = family(name).style_space(bundle.settings(name))
-    read_style(style, bundle.statistics().speakers, size)
 
 
 DEFAULT = Path(__file__).parent / "default"

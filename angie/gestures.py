@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from angie.bundle import check_style
 from angie.motion.keypoints import read_points, resample
 from angie.motion.statistics import MotionStatistics
 from angie.pipeline import GesturePipeline
+from angie.style import check_style
 from data_prep.errors import BadInput, check_seed
 from data_prep.files import check_apart, whole_file
 from data_prep.progress import console

@@ -1,13 +1,16 @@
 """Parts of a speaker bundle: what each is trained on, with which settings, what is said of it."""
 
 import dataclasses
+import hashlib
 import subprocess
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
+from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
 from angie.config import Preset
@@ -25,6 +28,10 @@ UPSTREAM: dict[str, tuple[str, ...]] = {
     "avd": ("renderer",),
 }
 """Parts that all generators share, each with those that it is trained on."""
+
+REGIONS = "regions"
+"""Name in the manifest of the region estimator's hash: beside the renderer's own, and among what
+parts are trained on. Up to format 2 these named the whole renderer."""
 
 OPTIONAL = ("avd",)
 """Parts that a bundle may lack and still be whole."""
@@ -65,8 +72,9 @@ def sizes_of(part: str, preset: Preset) -> dict[str, Any]:
         return {}
     if part in UPSTREAM:
         sizes = dataclasses.asdict(preset.renderer)
-        kept = {k: v for k, v in sizes.items() if part == "avd" or not k.startswith("avd_")}
-        return plain({"renderer": kept})
+        on_motion = ("regions", "avd_id_width", "avd_pose_width", "revert_axis_swap")
+        own = on_motion if part == "avd" else [k for k in sizes if not k.startswith("avd_")]
+        return plain({"renderer": {key: sizes[key] for key in own}})
     found, stage = stage_of(part)
     return plain(stage.sizes(preset.settings(found.name)))
 
@@ -100,6 +108,25 @@ def difference(
         elif before != value:
             return f"{prefix}{key}={before}, not {value}"
     return ""
+
+
+def hash_of_regions(path: Path) -> str:
+    """Hash of the region estimator in a file of a renderer's weights, whatever their precision.
+
+    Raises:
+        BadInput: not a safetensors file.
+    """
+    found = hashlib.sha256()
+    try:
+        with safe_open(path, "numpy") as file:
+            for name in sorted(key for key in file.keys() if key.startswith("estimator.")):
+                value = file.get_tensor(name)
+                kind = np.float32 if value.dtype.kind == "f" else np.int64
+                found.update(f"{name} {value.shape}".encode())
+                found.update(value.astype(kind).tobytes())
+    except SafetensorError as error:
+        raise BadInput(f"{path}: does not fit the sizes in bundle.json") from error
+    return found.hexdigest()
 
 
 def load_weights(model: nn.Module, tensors: Mapping[str, Tensor]) -> None:
@@ -176,6 +203,8 @@ def _state(bundle: "Bundle", part: str) -> str:
     words = [f"{entry['sha256'][:12]}"]
     if "dataset" in report:
         words.append(f"{report['minutes']} min in {report['clips']} clips of {report['dataset']}")
+    for more in report.get("also", []):
+        words.append(f"{more['minutes']} min of {more['dataset']}, weight {more['weight']:g}")
     if "imported" in report:
         words.append(f"imported from {report['imported']}, whose authors' terms hold for it")
     words += report.get("credits", [])

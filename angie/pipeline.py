@@ -17,10 +17,12 @@ import torch
 from numpy.typing import NDArray
 
 from angie import __version__
-from angie.bundle import BUNDLE, Bundle, check_style
+from angie.bundle import BUNDLE, Bundle
 from angie.generators.base import GestureGenerator
+from angie.motion.amplitude import check_amplitude, held_back, scale_displacement
 from angie.motion.statistics import MotionStatistics
 from angie.source import Framing, Photo, View, frame_photo
+from angie.style import check_style
 from data_prep.errors import BadInput, check_choice, check_seed
 from data_prep.files import check_apart, check_mp4, whole_file
 from data_prep.media.audio import read_sound
@@ -33,7 +35,6 @@ from data_prep.speech.features import FEATURES, Speech, mono
 from data_prep.speech.transcript import read_transcript
 from data_prep.speech.words import Word
 from mraa.affine import WITH_AXES
-from mraa.avd import hull_scale
 from mraa.draw import render, source_pose
 from mraa.fast.fullsize import FullSize
 from mraa.motion import Motion
@@ -236,6 +237,7 @@ class GesturePipeline:
         style: str | None = None,
         greedy: bool = False,
         scale_motion: str = "none",
+        amplitude: float = 1.0,
         controls: Any = None,
         view: View | None = None,
         speech: Speech | None = None,
@@ -255,6 +257,8 @@ class GesturePipeline:
                 gestures are sampled. Both whatever the bundle's settings say.
             scale_motion: "hull" scales the gestures by the size of the person (spanned by the
                 regions) against the training speakers', or that of `style`; "none" does not.
+            amplitude: 0 to 2, how far from the photo's pose the gestures go: 1 is as they are made,
+                but for regions that are not sure of themselves, see `angie.motion.amplitude`.
             controls: a dataclass of the generator's own.
             view: which part of the photo moves, and what is shown of it.
             speech: the recording with features that are known already; others are computed.
@@ -267,6 +271,7 @@ class GesturePipeline:
         view = view or View()
         check_seed(seed)
         check_choice("--scale-motion", scale_motion, SCALES)
+        check_amplitude(amplitude)
         check_style(self.bundle, style, self.name)
         subject = self.subject(photo, view)
         given = speech
@@ -283,6 +288,7 @@ class GesturePipeline:
             speech.forget_samples()  # those of long recordings, which the renderer does not need
         if scale_motion == "hull":
             motion = scale_displacement(motion, pose, self.statistics, style)
+        motion, note = held_back(motion, pose, self.statistics, amplitude)
 
         def draw() -> Iterator[NDArray[np.uint8]]:
             keep_memory()  # from here on: what came before has given its memory back
@@ -296,7 +302,7 @@ class GesturePipeline:
         files = [path for path in (subject.path, sound, read) if isinstance(path, Path)]
         return GestureVideo(
             subject, speech.frames, speech.seconds, draw, sound, motion, speech,
-            inputs=tuple(files), notes=self.notes(speech),
+            inputs=tuple(files), notes=[*self.notes(speech), *note],
         )  # fmt: skip
 
     def subject(self, photo: Photo, view: View) -> Subject:
@@ -372,19 +378,3 @@ def write_video(video: VideoWriter, batches: Iterable[np.ndarray], frames: int) 
             advance(len(batch))
             count += len(batch)
     return count
-
-
-def scale_displacement(
-    motion: Motion, pose: Motion, statistics: MotionStatistics, style: str | None = None
-) -> Motion:
-    """Scale shifts away from `pose` by the person's size against a training speaker's.
-
-    The size is the square root of the area that the regions span (MRAA's relative mode). The
-    training speaker is the one whose style the motion has; without a style, or with one that is
-    nobody's, the mean of all.
-    """
-    one = None if style is None or set(style) & set(":,") else style  # a mixture or a point
-    mean = statistics.rest.mean(dim=0)
-    rest = Motion.from_vector((mean if one is None else statistics.rest_of(one))[None])
-    scale = hull_scale(pose.shift[0], rest.shift[0])
-    return Motion(pose.shift + scale * (motion.shift - pose.shift), motion.cholesky)

@@ -5,7 +5,7 @@
 WEIGHTS is a safetensors file with its architecture in `renderer.json` beside it, as
 `train_on_gpu.py` gives them back. Its region estimator must be that of BUNDLE, number for number:
 motion is learnt on regions, so only then do the other parts stay true. OUT is BUNDLE with the new
-renderer in half precision and hashes that chain; what REPORT says of the renderer goes into it.
+renderer in half precision; what REPORT says of the renderer goes into it.
 """
 
 import argparse
@@ -58,19 +58,16 @@ def main() -> None:
     given = parser.parse_args()
     old, after = Bundle.open(given.bundle), load_file(given.weights)
     same_regions(load_file(old.path_of("renderer")), after, given.weights)
-    preset = dataclasses.replace(old.preset, renderer=architecture(given.weights))
+    kept = load_file(old.path_of("renderer"))
+    regions = {name: value for name, value in kept.items() if name.startswith("estimator.")}
     with whole_folder(given.out, mark="bundle.json", force=True) as part:
-        new = Bundle.create(part, preset)
-        for key in ("speakers", "crop"):
-            new.manifest[key] = old.manifest[key]
-        said = json.loads(given.report.read_text()) if given.report else {}
-        new.add("renderer", halve(after), {"precision": "float16", **said})
-        new.renderer()
-        for name in (n for n in old.parts if old.has(n) and n != "renderer"):
-            path = old.path_of(name)
+        for path in (p for p in given.bundle.iterdir() if p.is_file()):
             shutil.copy(path, part / path.name)
-            new.add(name, part / path.name, old.report(name))
-        new.generator()
+        new = Bundle.open(part)
+        new.preset = dataclasses.replace(old.preset, renderer=architecture(given.weights))
+        said = json.loads(given.report.read_text()) if given.report else {}
+        new.add("renderer", halve(after) | regions, {"precision": "float16", **said})
+        new.renderer(), new.generator()
     print(f"{given.out}: {sum(p.stat().st_size for p in given.out.iterdir()) / 1e6:.1f} MB")
 
 

@@ -62,6 +62,12 @@ def animate(
     scale_motion: Annotated[
         str, typer.Option(help="hull scales gestures to the person's size; or none.")
     ] = "none",
+    amplitude: Annotated[
+        float,
+        typer.Option(
+            min=0, max=2, help="How far the gestures go from the photo's pose; 1 is as made."
+        ),
+    ] = 1.0,
     greedy: Greedy = False,
     style: Style = None,
     words: Words = None,
@@ -115,10 +121,11 @@ def animate(
     if drive is not None:
         want_file(drive, "driving video")
         sound_only = (style, generator, words)
-        if greedy or scale_motion != "none" or any(given is not None for given in sound_only):
+        changed = greedy or scale_motion != "none" or amplitude != 1
+        if changed or any(given is not None for given in sound_only):
             raise BadInput(
-                "--greedy, --style, --words, --scale-motion and --generator are for gestures to "
-                "sound, not for --drive"
+                "--greedy, --style, --words, --scale-motion, --amplitude and --generator are for "
+                "gestures to sound, not for --drive"
             )
     elif audio is None:
         raise BadInput("give a recording to gesture to, or a video to follow with --drive VIDEO")
@@ -149,6 +156,7 @@ def animate(
             style=style,
             greedy=greedy,
             scale_motion=scale_motion,
+            amplitude=amplitude,
             view=view,
             speech=_noted(*heard()) if heard else None,
             words=words,

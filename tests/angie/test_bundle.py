@@ -4,10 +4,11 @@ import shutil
 
 import pytest
 import torch
+from safetensors.torch import save_file
 
-from angie.bundle import Bundle
+from angie.bundle import BUNDLE, Bundle
 from angie.config import override, preset
-from angie.parts import changed, describe, halve, load_weights
+from angie.parts import changed, describe, halve, hash_of_regions, load_weights
 from angie.training import train
 from data_prep.errors import BadInput
 
@@ -227,3 +228,37 @@ def test_the_motion_of_one_speaker_alone(dataset, bundle, tmp_path):
     changes = {"train_vq": {"schedule": {"most_steps": 2}}}
     trained = train(dataset.path, folder, stage="vq", speaker="bella", changes=changes)
     assert trained.manifest["parts"]["angie.vq"]["report"]["clips"] == report["clips"]
+
+
+@pytest.fixture
+def shipped(tmp_path):
+    """A copy of the bundle that ships."""
+    shutil.copytree(BUNDLE, tmp_path / "shipped")
+    return Bundle.open(tmp_path / "shipped")
+
+
+def test_a_renderer_of_the_same_regions_takes_the_place_of_another(shipped):
+    parts = shipped.manifest["parts"]
+    before = shipped.hash_of("renderer")
+    parts["statistics"]["upstream"] = {"renderer": before}  # as in format 2
+    tensors = shipped.tensors("renderer")
+    drawing = next(k for k in tensors if k.startswith("generator.") and k.endswith("weight"))
+    shipped.add("renderer", {**tensors, drawing: tensors[drawing] * 1.5}, {})
+    again = Bundle.open(shipped.folder)
+    assert all(again.has(part) for part in PARTS) and again.generator() is not None
+    assert again.hash_of("renderer") != before
+    assert again.manifest["parts"]["statistics"]["upstream"] == {"regions": again.regions()}
+    seeing = next(k for k in tensors if k.startswith("estimator.") and k.endswith("weight"))
+    again.add("renderer", {**tensors, seeing: tensors[seeing] * 1.5}, {})
+    with pytest.raises(BadInput, match="trained on another renderer with other regions"):
+        again.statistics()
+
+
+def test_the_hash_of_regions_is_one_of_numbers_not_of_their_precision(shipped, tmp_path):
+    tensors = {
+        k: v.float() for k, v in shipped.tensors("renderer").items() if v.is_floating_point()
+    }
+    save_file(tensors, tmp_path / "float32.safetensors")
+    save_file(halve(tensors), tmp_path / "float16.safetensors")
+    kinds = [hash_of_regions(tmp_path / f"{kind}.safetensors") for kind in ("float32", "float16")]
+    assert kinds[0] == kinds[1]

@@ -1,3 +1,4 @@
+import dataclasses
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,8 @@ import torch
 from PIL import Image
 
 from angie.bundle import Bundle
-from angie.pipeline import GesturePipeline, GestureVideo, scale_displacement
+from angie.motion.amplitude import scale_displacement, spread
+from angie.pipeline import GesturePipeline, GestureVideo
 from angie.source import View, framing
 from data_prep.errors import BadInput
 from data_prep.media.audio import read_sound, write_wav
@@ -283,3 +285,31 @@ def test_source_pose_is_the_estimators(bundle, photo):
     regions = renderer.estimator(picture)
     torch.testing.assert_close(pose.shift, regions.shift)
     torch.testing.assert_close(pose.covariance(), regions.covariance, atol=1e-6, rtol=0)
+
+
+def test_amplitude_scales_the_gestures_and_zero_stands_still(photo, speech, bundle):
+    pipe = GesturePipeline(bundle, precision="fp32")
+    whole, half, still = (pipe(photo, speech, amplitude=a).motion for a in (1.0, 0.5, 0.0))
+    pose = whole.vector()[:1]  # the first frame is the photo's
+    torch.testing.assert_close(half.vector() - pose, (whole.vector() - pose) / 2)
+    assert torch.equal(still.vector(), pose.expand_as(still.vector()))
+    with pytest.raises(BadInput, match="--amplitude 3: give 0 to 2"):
+        pipe(photo, speech, amplitude=3)
+
+
+def test_a_photo_unlike_what_was_learnt_moves_less_and_is_told(photo, speech, bundle, monkeypatch):
+    pipe = GesturePipeline(bundle, precision="fp32")
+    measured = pipe.statistics
+    pose = source_pose(pipe.renderer, pipe.subject(photo, View()).picture)
+    found, ways = [], []
+    for mean in (0.4, 4.0):  # of the spread, by other statistics of training
+        scale = spread(pose, measured).mean() / mean
+        other = dataclasses.replace(measured, diagonal_high=measured.diagonal_high * scale)
+        monkeypatch.setattr(pipe, "statistics", other)
+        found.append(pipe(photo, speech))
+        shift = found[-1].motion.shift
+        ways.append((shift - shift[:1]).abs().mean())
+    usual, strange = found
+    assert ways[1] < 0.7 * ways[0] and usual.notes == []
+    assert "unlike the people that the model has learnt" in strange.note
+    assert "--from shipped" in strange.note

@@ -7,10 +7,11 @@ import pytest
 import torch
 from PIL import Image
 
-from angie.bundle import styles
 from angie.cli import main
-from angie.pipeline import GesturePipeline, scale_displacement
+from angie.motion.amplitude import scale_displacement
+from angie.pipeline import GesturePipeline
 from angie.source import View
+from angie.style import styles
 from data_prep.errors import BadInput
 from data_prep.media.audio import write_wav
 from data_prep.phantom.make import recording, still

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from angie.bundle import PHOTO, Bundle, styles
+from angie.bundle import PHOTO, Bundle
 from angie.cli import main
 from angie.evaluation.evaluate import evaluate
 from angie.evaluation.networks import EvaluationConfig
+from angie.style import styles
 from data_prep.media.audio import write_wav
 from data_prep.media.video import probe
 from data_prep.phantom.make import recording
