@@ -353,7 +353,7 @@ def check(data: Dataset, folder: Path, minutes: float) -> dict[str, Any]:
     """Everything about one bundle."""
     bundle = Bundle.open(folder)
     statistics, generator = bundle.statistics(), load_generator(bundle)
-    identity = f"{bundle.hash_of('renderer')}-{data.digest}"
+    identity = bundle.motion_identity(data.digest)
     train, test = (
         [c for c in read_clips(data, bundle.train / "motion", split, identity)
          if c.speaker in statistics.speakers]

@@ -59,7 +59,7 @@ def main() -> None:
     given = parser.parse_args()
     data, bundles = Dataset(given.dataset), [Bundle.open(path) for path in given.bundles]
     first = bundles[0]
-    identity = f"{first.hash_of('renderer')}-{data.digest}"
+    identity = first.motion_identity(data.digest)
     clips = read_clips(data, first.train / "motion", "test", identity)
     rows: dict[str, Callable[[MotionClip], Tensor]] = {"held": lambda c: c.motion.shift[:1]}
     rows |= {bundle.folder.name: through(bundle) for bundle in bundles}

@@ -6,39 +6,36 @@ KIND and FOLDER as `pack_frames.py` takes them; its test videos are reconstructe
 frame from the clip's first frame, and from its most open one (hands apart, in the picture). PATH is
 a bundle, or a `renderer.safetensors` with its architecture in `renderer.json` beside it. The table
 has PSNR and L1 of the whole picture and of 48-pixel boxes around the hands, what the PSNR gains
-over showing the source throughout ("still", also a row), and with `--models` the share of hands
-seen at their place, of those seen in the true frame (score over 0.5; both at twice the size). With
-`--sheet` truth, source and reconstructions of frames spread over each kind are written there.
+over showing the source throughout ("still", also a row), and with `--models` what `angie evaluate
+--models` says of people: the share of hands seen at their place, of those seen in the true frame,
+and the likeness of the face. With `--sheet` truth, source and reconstructions of frames spread over
+each kind are written there.
 """
 
 import argparse
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
-from pack_frames import decoded, find_crop, seen_centres, true_centres, videos
-from pictures.people import People, Square
+from pack_frames import decoded, find_crop, true_centres, videos
 from replace_renderer import architecture
 from safetensors.torch import load_file
 
 from angie.bundle import Bundle
+from angie.evaluation.people import TWICE, PeopleJudge, Seen, again, pixel_errors
 from angie.parts import load_weights
 from data_prep.errors import BadInput, call_script
 from data_prep.rates import IMAGE_SIZE
 from data_prep.speaker.crop import Crop, cut_out
+from data_prep.speaker.people import Pose
+from mraa.flow import deform
 from mraa.renderer import Renderer, from_pixels, to_pixels
 
-BOX = 48
-"""Side in pixels of the boxes around hands."""
-
-SEEN = 0.5
-"""Score from which a hand counts as seen."""
-
-FOLDED = 40
-"""Pixels between hands below which they are folded, which the hand network cannot judge."""
+Gathered = dict[str, list[float]]
+"""Values by column."""
 
 
 @dataclass
@@ -47,10 +44,13 @@ class Clip:
 
     pixels: np.ndarray
     """(T, 256, 256, 3) uint8 RGB."""
-    centres: np.ndarray
-    """(T, 3, 2) right hand, left hand, face in pixels."""
-    squares: list[list[Square]]
-    """Where hands are seen in the true frames, in pixels of frames at twice the size."""
+    seen: list[Seen]
+    """What is known of each."""
+
+    @property
+    def centres(self) -> np.ndarray:
+        """(T, 3, 2) right hand, left hand, face in pixels."""
+        return np.stack([seen.centres for seen in self.seen])
 
 
 def load_renderer(path: Path) -> Renderer:
@@ -69,93 +69,72 @@ def load_renderer(path: Path) -> Renderer:
     return renderer.eval()
 
 
-def large(image: np.ndarray) -> np.ndarray:
-    """A frame at twice the size."""
-    return cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-
-
-def squares_of(people: People, frame: np.ndarray, crop: Crop, true: np.ndarray) -> list[Square]:
-    """Hands that are seen in a true frame, apart from folded ones."""
-    pose = people.pose(frame)
+def moved(pose: Pose | None, crop: Crop) -> Pose | None:
+    """A pose seen in a whole picture, in pixels of its square as the judge looks at it."""
     if pose is None:
-        return []
-    factor = 2 * IMAGE_SIZE / crop.size
-    found = [s for s in people.hand_squares(pose) if s is not None]
-    moved = [((s[0] + 0.5 - [crop.x, crop.y]) * factor - 0.5, s[1] * factor, s[2]) for s in found]
-    if len(moved) == 2 and np.linalg.norm(moved[0][0] - moved[1][0]) < 2 * FOLDED:
-        return []
-    inside = [s for s in moved if (s[0] > 8).all() and (s[0] < 2 * IMAGE_SIZE - 8).all()]
-    twice = large(true)
-    return [s for s in inside if people.hand_score(twice, s) > SEEN]
+        return None
+    factor = TWICE * IMAGE_SIZE / crop.size
+
+    def placed(points: np.ndarray) -> np.ndarray:
+        return (points + 0.5 - [crop.x, crop.y]) * factor - 0.5
+
+    centre, side, angle = pose.body
+    return Pose(placed(pose.points), pose.visible, (placed(centre), side * factor, angle))
 
 
-def load_clip(path: Path, kind: str, stride: int, people: People | None) -> Clip | None:
+def load_clip(path: Path, kind: str, stride: int, judge: PeopleJudge | None) -> Clip | None:
     """Every `stride`-th frame of a video, cut as a photo would be."""
     frames = decoded(path, stride)
     crop = find_crop(frames)
     if crop is None or len(frames) < 2:
         return None
     pixels = np.stack([cut_out(f, crop) for f in frames])
-    squares: list[list[Square]] = [[] for _ in frames]
-    if people is not None:
-        people.forget()
-        seen = zip(frames, pixels, strict=True)
-        squares = [squares_of(people, f, crop, p) for f, p in seen]
-    if kind == "signer":
-        if people is None:
-            raise BadInput("signer: has no truth; give the networks with --models")
-        people.forget()
-        centres = seen_centres(people, frames, crop)
-    else:
-        centres = true_centres(path, crop, len(frames), stride)
-    return Clip(pixels, centres, squares)
+    if kind == "signer" and judge is None:
+        raise BadInput("signer: has no truth; give the networks with --models")
+    known = None if kind == "signer" else true_centres(path, crop, len(frames), stride)
+    if judge is None:
+        assert known is not None
+        return Clip(pixels, [Seen(c, (None, None), None, None) for c in known])
+    judge.people.forget()
+    seen = []
+    for i, frame in enumerate(frames):
+        found = judge.look(pixels[i], moved(judge.people.pose(frame), crop))
+        seen.append(found if known is None else replace(found, centres=known[i]))
+    return Clip(pixels, seen)
 
 
 @torch.no_grad()
-def reconstruct(renderer: Renderer, clip: Clip, source: int) -> np.ndarray:
-    """Every frame of a clip from one of them, (T, 256, 256, 3) uint8."""
+def reconstruct(renderer: Renderer, clip: Clip, source: int) -> tuple[np.ndarray, np.ndarray]:
+    """Every frame of a clip from one of them, and the source as the flow warps it, as `pixels`."""
     first = from_pixels(torch.from_numpy(clip.pixels[source][None]))
-    regions, made = renderer.estimator(first), []
+    regions, made, warped = renderer.estimator(first), [], []
     for start in range(0, len(clip.pixels), 4):
         truth = from_pixels(torch.from_numpy(clip.pixels[start : start + 4]))
         still = first.expand(len(truth), -1, -1, -1)
         background = renderer.background(still, truth)
         driving = renderer.estimator(truth)
-        image, _ = renderer(still, regions.repeat(len(truth)), driving, background)
+        image, flow = renderer(still, regions.repeat(len(truth)), driving, background)
         made.append(to_pixels(image).numpy())
-    return np.concatenate(made)
+        bent = deform(still, flow, align_corners=renderer.config.align_corners)
+        warped.append(to_pixels(bent).numpy())
+    return np.concatenate(made), np.concatenate(warped)
 
 
-def errors(made: np.ndarray, clip: Clip, source: int) -> list[tuple[float, float]]:
-    """PSNR and L1 of whole frames, and of boxes around hands, one after the other."""
-    rows: list[list[tuple[float, float]]] = [[], []]
-    for i in range(len(made)):
-        if i == source:
-            continue
-        gap = np.abs(made[i].astype(np.float32) - clip.pixels[i]) / 255
-        parts = [(0, gap)]
-        for x, y in clip.centres[i, :2]:
-            if 4 < min(x, y) and max(x, y) < IMAGE_SIZE - 5:
-                left, top = (max(0, round(float(v) - BOX / 2)) for v in (x, y))
-                parts.append((1, gap[top : top + BOX, left : left + BOX]))
-        for kind, part in parts:
-            rows[kind].append((-10 * np.log10(max((part**2).mean(), 1e-8)), part.mean()))
-    return [tuple(np.mean(r, axis=0)) if r else (np.nan, np.nan) for r in rows]
-
-
-def hands_left(people: People, made: np.ndarray, clip: Clip, source: int) -> list[bool]:
-    """Of every hand seen in the true frames, whether it is seen at its place."""
-    found = []
-    for i in range(len(made)):
-        if i != source and clip.squares[i]:
-            image = large(made[i])
-            found += [people.hand_score(image, s) > SEEN for s in clip.squares[i]]
-    return found
+def measure(clip: Clip, made: np.ndarray, source: int, judge: PeopleJudge | None) -> Gathered:
+    """Scores of a clip's frames but the source."""
+    into: Gathered = {}
+    for i, seen in enumerate(clip.seen):
+        if i != source:
+            frame = again(made[i])
+            pixel_errors(frame, clip.pixels[i], seen.centres, into)
+            if judge is not None:
+                judge.compare(frame, seen, into)
+    return into
 
 
 def open_frame(clip: Clip) -> int | None:
     """The frame whose hands are farthest apart, both in the picture."""
-    hands = clip.centres[:, :2]
+    hands = np.nan_to_num(clip.centres[:, :2], nan=-1e3)
     inside = ((hands > 12) & (hands < IMAGE_SIZE - 12)).all((1, 2))
     apart = np.linalg.norm(hands[:, 0] - hands[:, 1], axis=-1) * inside
     return int(apart.argmax()) if apart.max() > 60 else None
@@ -173,80 +152,87 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     cv2.setNumThreads(1)
-    people = People(given.models) if given.models else None
+    judge = PeopleJudge(given.models) if given.models else None
     named = [item.split("=", 1) for item in given.renderer]
     renderers = {name: load_renderer(Path(path)) for name, path in named}
-    columns = "frames | PSNR | gain | L1 | hands PSNR | gain | L1 | hands seen"
-    print(f"| kind, source | renderer | {columns} |\n" + "|---" * 10 + "|")
+    print("| kind, source | frames from | frames | " + " | ".join(COLUMNS.values()) + " |")
+    print("|---" * (3 + len(COLUMNS)) + "|")
     results = []
     for item in given.videos:
         kind, folder = item.split("=", 1)
         paths = [p for p, _ in videos(kind, Path(folder), True)]
         if given.clips and len(paths) > given.clips:
             paths = [paths[i] for i in np.linspace(0, len(paths) - 1, given.clips).astype(int)]
-        loaded = (load_clip(p, kind, given.stride, people) for p in paths)
+        loaded = (load_clip(p, kind, given.stride, judge) for p in paths)
         clips = [clip for clip in loaded if clip is not None]
         for which in ("first", "open"):
-            rows = table(clips, which, renderers, people, kind, given.sheet)
+            rows = table(clips, which, renderers, judge, kind, given.sheet)
             results += rows
             for row in rows:
-                cells = [f"{row[c]:.2f}" if "L1" not in c else f"{row[c]:.4f}" for c in CELLS]
-                label = f"{kind}, {which} | {row['renderer']} | {row['frames']}"
-                print(
-                    f"| {label} | " + " | ".join(cells) + f" | {row['seen']:.2f} of {row['of']} |",
-                    flush=True,
-                )
+                label = f"{kind}, {which} | {row['from']} | {row['frames']}"
+                cells = " | ".join(cell(key, row) for key in COLUMNS)
+                print(f"| {label} | {cells} |", flush=True)
     if given.json:
         given.json.write_text(json.dumps(results, indent=1))
 
 
-CELLS = ("psnr", "gain", "L1", "hands_psnr", "hands_gain", "hands_L1")
+COLUMNS = {
+    "psnr": "PSNR",
+    "gain": "gain",
+    "l1": "L1",
+    "psnr_hands": "hands PSNR",
+    "gain_hands": "gain",
+    "l1_hands": "L1",
+    "psnr_face": "face PSNR",
+    "seen": "hands seen",
+    "face": "face likeness",
+}
+
+
+def cell(key: str, row: dict) -> str:
+    """A number of the table."""
+    if key not in row:
+        return "-"
+    if key == "seen":
+        return f"{row[key] / 100:.2f} of {row['hands']}"
+    return f"{row[key]:.4f}" if key.startswith("l1") else f"{row[key]:.2f}"
 
 
 def table(
     clips: list[Clip],
     which: str,
     renderers: dict[str, Renderer],
-    people: People | None,
+    judge: PeopleJudge | None,
     kind: str,
     sheet: Path | None,
 ) -> list[dict]:
-    """A row for the still source and for every renderer."""
+    """A row for the truth, the still source, and every renderer with what its flow alone makes."""
     sources = [0 if which == "first" else open_frame(clip) for clip in clips]
     chosen = [(c, s) for c, s in zip(clips, sources, strict=True) if s is not None]
-    rows: list[dict] = []
+    gathered: dict[str, Gathered] = {}
     shown: dict[str, list[np.ndarray]] = {}
-    for name in ("still", *renderers):
-        measured, weights, left = [], [], []
-        for clip, source in chosen:
-            if name == "still":
-                made = np.repeat(clip.pixels[source][None], len(clip.pixels), 0)
-            else:
-                made = reconstruct(renderers[name], clip, source)
-            measured.append(errors(made, clip, source))
-            weights.append(len(made) - 1)
-            if people is not None:
-                left += hands_left(people, made, clip, source)
-            shown.setdefault(name, []).append(made)
-        values = np.array(measured)  # (clips, whole or hands, PSNR or L1)
-        fine = ~np.isnan(values[:, :, 0])
-        share = np.array(weights)[:, None] * fine
-        mean = (np.nan_to_num(values) * share[..., None]).sum(0) / share.sum(0)[:, None]
-        base = rows[0] if rows else None
-        row = {
-            "kind": kind,
-            "source": which,
-            "renderer": name,
-            "frames": int(sum(weights)),
-            "psnr": mean[0, 0],
-            "L1": mean[0, 1],
-            "hands_psnr": mean[1, 0],
-            "hands_L1": mean[1, 1],
-            "seen": float(np.mean(left)) if left else float("nan"),
-            "of": len(left),
+    for clip, source in chosen:
+        made = {
+            "truth": clip.pixels,
+            "still": np.repeat(clip.pixels[source][None], len(clip.pixels), 0),
         }
-        row["gain"] = row["psnr"] - (base["psnr"] if base else row["psnr"])
-        row["hands_gain"] = row["hands_psnr"] - (base["hands_psnr"] if base else row["hands_psnr"])
+        for name, renderer in renderers.items():
+            made[name], made[f"{name}, warped"] = reconstruct(renderer, clip, source)
+        for name, frames in made.items():
+            into = gathered.setdefault(name, {})
+            for key, values in measure(clip, frames, source, judge).items():
+                into.setdefault(key, []).extend(values)
+            if name == "still" or name in renderers:
+                shown.setdefault(name, []).append(frames)
+    rows = []
+    for name, into in gathered.items():
+        row: dict = {"kind": kind, "source": which, "from": name, "frames": len(into["psnr"])}
+        row |= {key: float(np.mean(values)) for key, values in into.items()}
+        row["hands"] = len(into.get("seen", ()))
+        for key in ("psnr", "psnr_hands"):
+            if key in into:
+                gain = row[key] - float(np.mean(gathered["still"][key]))
+                row[key.replace("psnr", "gain")] = gain
         rows.append(row)
     if sheet is not None:
         sheet.mkdir(exist_ok=True)

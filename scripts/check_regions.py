@@ -2,9 +2,9 @@
 
     python scripts/check_regions.py RAW DATASET BUNDLE [--stride 5] [--without SOURCE,...]
 
-RAW is what `angie phantom` wrote, DATASET what `angie prepare` made of it, BUNDLE one whose
-renderer was trained on DATASET (the shipped one began with weights that were taught joints, see
-teach_renderer.py). A linear map from the K shifts of a frame to the
+RAW is what `angie phantom` wrote, or a folder of avatars with their truth, DATASET what `angie
+prepare` made of it, BUNDLE one whose renderer was trained on DATASET (the shipped one began with
+weights of `angie teach`). A linear map from the K shifts of a frame to the
 joints is fitted on the training clips, and predicts head, elbows and wrists on the test clips:
 
     R^2 = 1 - sum |p - p^|^2 / sum |p - mean p|^2
@@ -23,39 +23,23 @@ import numpy as np
 import torch
 
 from angie.bundle import Bundle
+from angie.evaluation.space import true_joints
 from data_prep.dataset import Clip, Dataset
 from data_prep.errors import BadInput, call_script
-from data_prep.rates import FPS
+from data_prep.phantom.skeleton import JOINTS
+from data_prep.rates import IMAGE_SIZE
 from mraa.reconstruction import reconstruct
 from mraa.regions import RegionEstimator
 from mraa.renderer import from_pixels
 
-JOINTS = {
+GROUPS = {
     "head": ("nose",),
     "elbows": ("right_elbow", "left_elbow"),
     "wrists": ("right_wrist", "left_wrist"),
 }
 """Joints that are predicted, by the name of their row."""
 
-NAMES = [name for group in JOINTS.values() for name in group]
-
-
-def truths(raw: Path, dataset: Dataset) -> dict[str, np.ndarray]:
-    """Joints (T, J, 2) in pixels of every video, in the order of `NAMES`.
-
-    Raises:
-        BadInput: `raw` lacks the truth of a video of the dataset.
-    """
-    found = {}
-    for path in sorted(raw.rglob("*.truth.npz")):
-        with np.load(path, allow_pickle=False) as file:
-            names = [str(name) for name in file["joint_names"]]
-            found[path.name.split(".")[0]] = file["joints"][:, [names.index(n) for n in NAMES]]
-    for source in sorted({clip.source for clip in dataset.clips()} - set(found)):
-        raise BadInput(
-            f"{raw}: has no {source}.truth.npz; give what `angie phantom` wrote for this dataset"
-        )
-    return found
+NAMES = [name for group in GROUPS.values() for name in group]
 
 
 class Frames:
@@ -63,23 +47,22 @@ class Frames:
 
     def __init__(self, dataset: Dataset, clips: list[Clip], joints: dict[str, np.ndarray]) -> None:
         self.dataset, self.clips, self.joints = dataset, clips, joints
-        self.crops = {s["name"]: s["crop"] for s in dataset.manifest["sources"]}
 
     def read(self, estimator: RegionEstimator, stride: int) -> tuple[np.ndarray, ...]:
         """Shifts (n, 2K), pictures (n, 3072), joints (n, J, 2) in [-1, 1], speakers (n,)."""
         rows: list[tuple[np.ndarray, ...]] = []
         for clip in self.clips:
-            store, crop = self.dataset.frames(clip), self.crops[clip.source]
-            truth = (self.joints[clip.source] - [crop["x"], crop["y"]]) / crop["size"] * 2 - 1
+            store = self.dataset.frames(clip)
+            truth = self.joints[clip.id] / (IMAGE_SIZE / 2) - 1
             numbers = range(0, len(store), stride)
             frames = np.stack([store[i] for i in numbers])
             with torch.no_grad():
                 shift = estimator(from_pixels(torch.from_numpy(frames))).shift
             small = [cv2.resize(f, (32, 32), interpolation=cv2.INTER_AREA).ravel() for f in frames]
-            first = round(clip.start * FPS)
-            moments = np.minimum([first + i for i in numbers], len(truth) - 1)
             who = np.full(len(frames), self.dataset.speakers().index(clip.speaker))
-            rows.append((shift.flatten(1).numpy(), np.stack(small) / 255.0, truth[moments], who))
+            rows.append(
+                (shift.flatten(1).numpy(), np.stack(small) / 255.0, truth[list(numbers)], who)
+            )
         return tuple(np.concatenate(column) for column in zip(*rows, strict=True))
 
 
@@ -91,14 +74,14 @@ def linear_map(known: np.ndarray, wanted: np.ndarray, seen: np.ndarray) -> np.nd
 
 
 def explained(truth: np.ndarray, guess: np.ndarray, who: np.ndarray) -> dict[str, list[float]]:
-    """R^2 of each row of `JOINTS` and their mean over joints: [all, speaker]."""
+    """R^2 of each row of `GROUPS` and their mean over joints: [all, speaker]."""
     error = ((truth - guess) ** 2).sum(axis=(0, 2))
     within = np.concatenate([truth[who == w] - truth[who == w].mean(0) for w in np.unique(who)])
     spreads = [((truth - truth.mean(0)) ** 2).sum(axis=(0, 2)), (within**2).sum(axis=(0, 2))]
     scores = np.stack([1 - error / spread for spread in spreads])  # (2, J)
     table = {
         row: scores[:, [NAMES.index(n) for n in group]].mean(1).tolist()
-        for row, group in JOINTS.items()
+        for row, group in GROUPS.items()
     }
     return {**table, "mean": scores.mean(1).tolist()}
 
@@ -115,7 +98,12 @@ def main() -> None:
     unseen = [c for c in dataset.clips("test") if c.source not in given.without.split(",")]
     if stride < 1 or not unseen:
         raise BadInput("no test frames are left: give a --stride above 0, fewer videos --without")
-    joints, renderer = truths(given.raw, dataset), Bundle.open(given.bundle).renderer()
+    places = [JOINTS.index(name) for name in NAMES]
+    joints = {k: points[:, places] for k, points in true_joints(dataset, given.raw).items()}
+    for clip in (*dataset.clips("train"), *unseen):
+        if clip.id not in joints:
+            raise BadInput(f"{given.raw}: holds no truth (*.truth.npz) of {clip.source}")
+    renderer = Bundle.open(given.bundle).renderer()
     train = Frames(dataset, dataset.clips("train"), joints).read(renderer.estimator, stride)
     test = Frames(dataset, unseen, joints).read(renderer.estimator, stride)
     centre = train[1].mean(0)
@@ -128,8 +116,8 @@ def main() -> None:
     print(
         f"{len(train[0])} frames to fit, {len(test[0])} of {len(unseen)} clips, {videos} videos\n"
     )
-    print("| R^2, all / speaker | " + " | ".join([*JOINTS, "mean"]) + " |")
-    print("|---" * (len(JOINTS) + 2) + "|")
+    print("| R^2, all / speaker | " + " | ".join([*GROUPS, "mean"]) + " |")
+    print("|---" * (len(GROUPS) + 2) + "|")
     wanted = train[2].reshape(len(train[2]), -1)
     for name, (known, seen) in inputs.items():
         guess = linear_map(known, wanted, seen).reshape(test[2].shape)

@@ -54,6 +54,12 @@ def evaluate(
     truth: Annotated[
         Path | None, typer.Option(help="Folder that angie phantom made, for its true joints.")
     ] = None,
+    models: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of MediaPipe's networks, which look for hands and faces in the pictures."
+        ),
+    ] = None,
     detected: Annotated[
         Path | None,
         typer.Option(
@@ -95,10 +101,15 @@ def evaluate(
         fgd=fgd,
         fgd_steps=fgd_steps,
         truth=truth,
+        models=models,
         detected=detected,
         greedy=greedy,
         perceptual_weights="" if perceptual_weights is None else str(perceptual_weights),
     )
+    if models is not None and no_images:
+        raise BadInput("--models and --no-images: give one; the networks look at pictures")
+    if models is not None and videos is not None:
+        raise BadInput("--models goes with DATASET BUNDLE...")
     if videos is None:
         if reference is not None or bundle is not None:
             raise BadInput("--reference and --bundle go with --videos; name DATASET BUNDLE...")
@@ -112,8 +123,9 @@ def evaluate(
         from angie.motion.keypoints import INDEX
 
         if (places[0] / INDEX).is_file():
-            if truth is not None:
-                raise BadInput("--truth goes with a dataset of videos")
+            for option, given in (("--truth", truth), ("--models", models)):
+                if given is not None:
+                    raise BadInput(f"{option} goes with a dataset of videos")
             numbers = evaluate_joints(places[0], places[1:], output, config, **chosen)
         else:
             place = options.device_of(device)

@@ -54,9 +54,9 @@ def _columns(section: str) -> tuple[Definition, ...]:
     )
 
 
-MOTION, IMAGES = _columns("motion"), _columns("images")
+MOTION, IMAGES, PEOPLE = (_columns(part) for part in ("motion", "images", "people"))
 
 SHORT = ("fgd", "fgd_raw", "bc", "pmb", "diversity", "hellinger", "maje_px", "cca_global")
 """Columns that the terminal shows."""
 
-ALL = (*MOTION, *IMAGES)
+ALL = (*MOTION, *IMAGES, *PEOPLE)

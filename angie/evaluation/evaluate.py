@@ -19,6 +19,7 @@ from angie.evaluation.networks import (
     find_autoencoder,
     make_frame_judge,
 )
+from angie.evaluation.people import ABOUT, PeopleJudge, score_people
 from angie.evaluation.rows import (
     TRUE_REGIONS,
     Row,
@@ -31,7 +32,7 @@ from angie.evaluation.rows import (
     systems,
 )
 from angie.evaluation.scoring import make_judge
-from angie.evaluation.space import RegionSpace, open_space, true_joints
+from angie.evaluation.space import RegionSpace, Truth, open_space, truths
 from angie.evaluation.styles import style_spaces
 from angie.evaluation.videos import in_turn, write_videos
 from angie.generators.stages import plain
@@ -77,14 +78,15 @@ def evaluate(
     data = Dataset(dataset)
     groups = [(group, systems(group, generator)) for group in _grouped(bundles)]
     check_networks(config, *(entered[0].bundle.hash_of("renderer") for _, entered in groups))
-    joints = {} if config.truth is None else true_joints(data, config.truth)
+    known = {} if config.truth is None else truths(data, config.truth)
+    people = None if config.models is None else PeopleJudge(config.models)
     with whole_folder(output, mark=report.MARK, force=force) as part:
         spaces = []
         for number, (group, entered) in enumerate(groups):
             scratch = part / f"motion-{number}"
             space = open_space(data, entered[0].bundle, scratch, device)
             rows = make_rows(space, entered, config)
-            drawn = _drawn(data, space, entered, rows, joints, config, device)
+            drawn = _drawn(data, space, entered, rows, known, people, config, device)
             scored = score_space(data, space, rows, group, part, number, config, pictures=drawn)
             spaces.append({**scored, "styles": style_spaces(space, entered)})
             shutil.rmtree(scratch, ignore_errors=True)
@@ -135,12 +137,14 @@ class Pictures:
         joints: true joints (T, J, 2) of clips, by name, as far as known.
         score: the image scores by a judge of frames, as the report has them.
         videos: writes side-by-side videos into a folder that is there; their names.
+        people: the scores of the people in the pictures, as the report has them.
     """
 
     renderer: Renderer
     joints: dict[str, NDArray]
     score: Callable[[FrameJudge], dict[str, Any]]
     videos: Callable[[Path], list[str]]
+    people: Callable[[], dict[str, Any] | None] = lambda: None
 
 
 def score_space(
@@ -165,13 +169,13 @@ def score_space(
     judge = make_judge(space, model, scale)
     bins = report.speed_bins(rows[0].runs[0], judge)
     numbers = [report.numbers_of_row(row, judge, bins) for row in rows]
-    images, videos = None, []
+    images, people, videos = None, None, []
     if pictures is not None:
         assert isinstance(data, Dataset)
         renderer, joints = pictures.renderer, pictures.joints
         frame_judge, more = make_frame_judge(data, space, renderer, joints, folder, number, config)
         origin |= more
-        images = pictures.score(frame_judge)
+        images, people = pictures.score(frame_judge), pictures.people()
         place = folder / f"videos-{number}"
         if config.videos_shown:
             place.mkdir()
@@ -180,6 +184,7 @@ def score_space(
     described = {name: describe(bundle, data) for name, bundle in bundles.items()}
     return report.numbers_of_space(space, judge, rows, numbers, shown, bins, origin, described) | {
         "images": images,
+        "people": people,
         "videos": videos,
     }
 
@@ -202,7 +207,8 @@ def _drawn(
     space: RegionSpace,
     entered: Sequence[System],
     rows: Sequence[Row],
-    joints: dict[str, NDArray],
+    known: dict[str, Truth],
+    people: PeopleJudge | None,
     config: EvaluationConfig,
     device: str,
 ) -> Pictures | None:
@@ -210,11 +216,13 @@ def _drawn(
     if not config.images:
         return None
     renderer = entered[0].bundle.renderer().to(device)
+    joints = {name: truth.joints for name, truth in known.items()}
     return Pictures(
         renderer,
         joints,
         partial(_score_images, data, space, entered, rows, joints, config),
         lambda folder: write_videos(folder, data, space.test, rows, renderer, config.videos_shown),
+        lambda: _score_people(data, space, renderer, known, people, config),
     )
 
 
@@ -247,6 +255,26 @@ def _score_images(
     return {
         "about": f"{config.choice}. Perceptual distance by {judge.perceptual.backend}.",
         "rows": [report.numbers_of_images(n, about[n], s) for n, s in scores.items()],
+    }
+
+
+def _score_people(
+    data: Dataset,
+    space: RegionSpace,
+    renderer: Renderer,
+    known: dict[str, Truth],
+    people: PeopleJudge | None,
+    config: EvaluationConfig,
+) -> dict[str, Any] | None:
+    """What is left of the people in what the renderer draws; None without networks that see it."""
+    if people is None:
+        return None
+    frames = sum(len(config.choice.numbers(c.motion.frames)) for c in space.test)
+    with progress("people", frames, "frames") as advance:
+        scores = score_people(people, renderer, data, space.test, known, config.choice, advance)
+    return {
+        "about": f"{config.choice}. All frames are encoded alike, as those of the dataset.",
+        "rows": [report.numbers_of_images(n, ABOUT[n], s) for n, s in scores.items()],
     }
 
 

@@ -59,7 +59,8 @@ class EvaluationConfig:
         fgd: stored auto-encoder of an earlier report; None to train one.
         fgd_steps: most steps of its training.
         aed_steps: training steps of AED's network.
-        truth: folder of `angie phantom` with the true joints; None without.
+        truth: folder of `angie phantom`, or of avatars, with the true joints; None without.
+        models: folder of the networks that see people; None without.
         detected: folder with NAME.npz of other networks' embeddings and points for `--videos`.
         greedy: always the likeliest gesture, whatever a bundle's own sampling.
         perceptual_weights: file of VGG19's weights; empty for the random network.
@@ -77,6 +78,7 @@ class EvaluationConfig:
     fgd_steps: int = 3000
     aed_steps: int = 300
     truth: Path | None = None
+    models: Path | None = None
     detected: Path | None = None
     greedy: bool = False
     perceptual_weights: str = ""
@@ -102,7 +104,7 @@ class EvaluationConfig:
     def as_dict(self) -> dict[str, Any]:
         """Plain values for the report, without the paths of this machine."""
         plain = asdict(self)
-        for key in ("fgd", "truth", "detected"):
+        for key in ("fgd", "truth", "models", "detected"):
             plain[key] = None if plain[key] is None else Path(plain[key]).name
         plain["perceptual_weights"] = Path(self.perceptual_weights).name
         return plain

@@ -5,11 +5,12 @@ the same numbers.
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 from markupsafe import Markup
 
-from angie.evaluation.definitions import IMAGES, MOTION
+from angie.evaluation.definitions import ALL, IMAGES, MOTION, PEOPLE
 from data_prep.page import drawing, page_template
 
 COLOURS = (
@@ -52,6 +53,7 @@ def page(title: str, numbers: Mapping[str, Any]) -> str:
         spaces=spaces,
         motion=MOTION,
         images=IMAGES,
+        people=PEOPLE,
         speaker_columns=[c for c in MOTION if c.key in BY_SPEAKER],
         arrows=ARROWS,
         origin=_origin(numbers),
@@ -60,9 +62,10 @@ def page(title: str, numbers: Mapping[str, Any]) -> str:
 
 def _missing(space: Mapping[str, Any]) -> dict[str, list[str]]:
     """Titles of the columns without a value, by row and reason."""
-    titles = {c.key: c.title for c in (*MOTION, *IMAGES)}
+    titles = {c.key: c.title for c in ALL}
     found: dict[str, list[str]] = {}
-    for row in (*space["rows"], *(space["images"] or {"rows": []})["rows"]):
+    drawn = [space[part]["rows"] for part in ("images", "people") if space[part]]
+    for row in chain(space["rows"], *drawn):
         for key, score in row["scores"].items():
             if score["mean"] is None:
                 found.setdefault(f"{row['name']}: {score['reason']}", []).append(titles[key])

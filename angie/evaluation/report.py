@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from angie.evaluation.definitions import ALL, IMAGES, MOTION, SHORT
+from angie.evaluation.definitions import ALL, IMAGES, MOTION, PEOPLE, SHORT
 from angie.evaluation.page import page
 from angie.evaluation.rows import Performance, Row
 from angie.evaluation.scoring import Judge, Summary, matched_curve, score_motion, summarise_runs
@@ -162,8 +162,9 @@ def write_report(folder: Path, title: str, numbers: Mapping[str, Any]) -> None:
         table.writerow(head)
         for space in numbers["spaces"]:
             parts = [("motion", MOTION, space["rows"])]
-            if space["images"] is not None:
-                parts.append(("images", IMAGES, space["images"]["rows"]))
+            for part, columns in (("images", IMAGES), ("people", PEOPLE)):
+                if space[part] is not None:
+                    parts.append((part, columns, space[part]["rows"]))
             for part, columns, rows in parts:
                 for row in rows:
                     for c in columns:
@@ -183,10 +184,11 @@ def terminal_table(numbers: Mapping[str, Any]) -> str:
             lines.append(f"regions {space['estimator'][:12]}")
         keys = [key if space["kind"] == "regions" else key.removesuffix("_px") for key in SHORT]
         lines += _aligned(space["rows"], [c for c in MOTION if c.key in keys])
-        if space["images"] is not None:
-            rows = space["images"]["rows"]
+        for part, columns in (("images", IMAGES), ("people", PEOPLE)):
+            rows = [] if space[part] is None else space[part]["rows"]
             there = {k for row in rows for k, v in row["scores"].items() if v["mean"] is not None}
-            lines += ["", *_aligned(rows, [column for column in IMAGES if column.key in there])]
+            if rows:
+                lines += ["", *_aligned(rows, [c for c in columns if c.key in there])]
     return "\n".join(lines)
 
 

@@ -24,6 +24,7 @@ from angie.motion.statistics import MotionStatistics, measure
 from data_prep.arrays import read_arrays
 from data_prep.dataset import Clip, Dataset
 from data_prep.errors import BadInput
+from data_prep.phantom.skeleton import JOINTS
 from data_prep.rates import FPS, IMAGE_SIZE
 from mraa.extract import extract_dataset
 from mraa.motion import Motion
@@ -94,7 +95,7 @@ def open_space(dataset: Dataset, bundle: Bundle, scratch: Path, device: str) -> 
         if not dataset.clips(split):
             raise BadInput(f"{dataset.path}: has no {split} clips; prepare more videos")
     renderer = bundle.hash_of("renderer")
-    identity = f"{renderer}-{dataset.digest}"
+    identity = bundle.motion_identity(dataset.digest)
     folder = bundle.train / "motion"
     try:
         train = read_clips(dataset, folder, "train", identity)
@@ -116,12 +117,45 @@ RIDGE = 1e-3
 """Weight of the squared coefficients for each frame, inputs standardised."""
 
 
+@dataclass(frozen=True)
+class FrameTruth:
+    """Where things are in one frame, (x, y) in pixels of the frame."""
+
+    centres: NDArray
+    """(3, 2) right hand, left hand, nose."""
+    wrists: NDArray
+    """(2, 2) right, left."""
+    tips: NDArray | None
+    """(2, 5, 2) finger tips of the right and the left hand."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is known of a clip that was drawn, (x, y) in pixels of its frames."""
+
+    joints: NDArray
+    """(T, 12, 2), as `data_prep.phantom.skeleton.JOINTS`."""
+    fingers: NDArray | None
+    """(T, 2, 5, 2) finger tips; the phantom's are not known."""
+
+    def at(self, number: int) -> FrameTruth:
+        """The truth of one frame."""
+        right, left, nose = (JOINTS.index(name) for name in ("right_hand", "left_hand", "nose"))
+        points, tips = self.joints[number], None if self.fingers is None else self.fingers[number]
+        return FrameTruth(points[[right, left, nose]], points[[right - 1, left - 1]], tips)
+
+
 def true_joints(dataset: Dataset, raw: Path) -> dict[str, NDArray]:
-    """Joints (T, J, 2) of clips in pixels of their frames, by clip id.
+    """Joints (T, J, 2) of clips in pixels of their frames, by clip id; see `truths`."""
+    return {name: truth.joints for name, truth in truths(dataset, raw).items()}
+
+
+def truths(dataset: Dataset, raw: Path) -> dict[str, Truth]:
+    """What is known of clips, by clip id.
 
     Args:
-        dataset: prepared from videos of the phantom speaker.
-        raw: folder that `angie phantom` wrote, with a `.truth.npz` beside each video.
+        dataset: prepared from videos of drawn people.
+        raw: folder with a `.truth.npz` beside each video, as `angie phantom` writes it.
 
     Raises:
         BadInput: no clip of the dataset has its truth there.
@@ -133,29 +167,37 @@ def true_joints(dataset: Dataset, raw: Path) -> dict[str, NDArray]:
         source = sources.get(clip.source)
         name = "" if source is None else f"{Path(source['file']).stem}.truth.npz"
         if source is not None and name in files:
-            joints = _joints_of(files[name], clip, source)
-            if joints is not None:
-                found[clip.id] = joints
+            truth = _truth_of(files[name], clip, source)
+            if truth is not None:
+                found[clip.id] = truth
     if not found:
         raise BadInput(f"{raw}: holds the truth (*.truth.npz) of no clip of {dataset.path}")
     return found
 
 
-def _joints_of(path: Path, clip: Clip, source: dict[str, Any]) -> NDArray | None:
-    """Joints of one clip in pixels of its frames; None where the truth does not reach."""
+def _truth_of(path: Path, clip: Clip, source: dict[str, Any]) -> Truth | None:
+    """The truth of one clip in pixels of its frames; None where it does not reach."""
     try:
-        joints = read_arrays(path, ("joints",))["joints"].astype(np.float64)
+        arrays = read_arrays(path, ("joints",))
+        joints = arrays["joints"].astype(np.float64)
+        fingers = arrays["fingers"].astype(np.float64) if "fingers" in arrays else None
         if joints.ndim != 3 or joints.shape[2] != 2:
             raise ValueError(f"joints {joints.shape}")
+        if fingers is not None and fingers.shape != (len(joints), 2, 5, 2):
+            raise ValueError(f"fingers {fingers.shape}")
     except (KeyError, ValueError) as error:
         raise BadInput(f"{path}: no truth of the phantom speaker ({error})") from error
     first = round(clip.start * FPS)
     crops = [s["crop"] for s in source["spans"] if s["first"] <= first < s["stop"]]
     crop = (crops[0] if crops else None) or source["crop"]
-    part = joints[first : first + clip.n_frames]
-    if crop is None or len(part) < clip.n_frames:
+    if crop is None or len(joints) < first + clip.n_frames:
         return None
-    return (part - [crop["x"], crop["y"]]) * (IMAGE_SIZE / crop["size"])
+
+    def placed(points: NDArray) -> NDArray:
+        part = points[first : first + clip.n_frames]
+        return (part - [crop["x"], crop["y"]]) * (IMAGE_SIZE / crop["size"])
+
+    return Truth(placed(joints), None if fingers is None else placed(fingers))
 
 
 JointReader = Callable[[NDArray], NDArray]

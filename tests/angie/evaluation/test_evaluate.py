@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from angie.bundle import BUNDLE
+from angie.evaluation import people
 from angie.evaluation.evaluate import _grouped, evaluate, row_names
 from angie.evaluation.external import evaluate_videos, watch
 from angie.evaluation.images import FrameChoice, chosen_frames
@@ -19,16 +20,18 @@ QUICK = {"fgd_steps": 5, "aed_steps": 5, "image_stride": 200, "videos_shown": 0}
 
 
 @pytest.fixture(scope="module")
-def made(dataset, bundle, phantom_videos, tmp_path_factory):
+def made(dataset, bundle, phantom_videos, sees_white, tmp_path_factory):
     output = tmp_path_factory.mktemp("evaluation") / "report"
-    config = EvaluationConfig(seeds=2, truth=phantom_videos, **QUICK)
-    numbers = evaluate(dataset.path, [bundle.folder], output, config)
+    config = EvaluationConfig(seeds=2, truth=phantom_videos, models=output, **QUICK)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(people, "People", sees_white)
+        numbers = evaluate(dataset.path, [bundle.folder], output, config)
     return output, numbers
 
 
 def row(numbers, name, part="rows"):
     rows = numbers["spaces"][0][part]
-    return next(r for r in (rows["rows"] if part == "images" else rows) if r["name"] == name)
+    return next(r for r in (rows if part == "rows" else rows["rows"]) if r["name"] == name)
 
 
 def test_a_report_has_its_rows_and_files(made, bundle):
@@ -61,6 +64,22 @@ def test_image_scores_of_the_true_regions_are_best_even_hardly_trained(made):
     assert true["psnr"]["mean"] > still["psnr"]["mean"]
     for key in ("l1", "perceptual", "aed"):  # regions of a picture so rough may be anywhere
         assert true[key]["mean"] < still[key]["mean"], key
+
+
+def test_people_are_looked_for_in_what_is_drawn_and_in_what_stands_beside(made):
+    output, numbers = made
+    names = ["recorded", "first frame", "warping alone", "true regions"]
+    assert [r["name"] for r in numbers["spaces"][0]["people"]["rows"]] == names
+    whole, still, warped, drawn = (row(numbers, n, "people")["scores"] for n in names)
+    for key in ("psnr", "psnr_hands", "psnr_face"):
+        assert whole[key]["mean"] > 30 and whole[key]["mean"] > drawn[key]["mean"], key
+    assert drawn["psnr"]["mean"] > still["psnr"]["mean"]
+    assert warped["l1"]["mean"] != drawn["l1"]["mean"]
+    wrists = {part["wrist"]["mean"] for part in (whole, still, warped, drawn)}
+    assert len(wrists) == 1 and wrists.pop() > 0  # always seen at one place
+    assert "finger tips are not known" in whole["tips"]["reason"]
+    assert "people,warping alone" in (output / "table.csv").read_text()
+    assert "<h2>People</h2>" in (output / "report.html").read_text()
 
 
 def test_frames_drawn_from_the_true_regions_leave_the_part_of_the_motion_alone(made):

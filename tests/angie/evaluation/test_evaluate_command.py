@@ -36,6 +36,9 @@ def call(capsys, *arguments):
         (["{data}", "{bundle}", "-o", "{data}", "--force"], "would replace the input"),
         (["{data}", "{bundle}", "-o", "{tmp}/out", "--start", "zero"], "choose from truth, pose"),
         (["{data}", "{bundle}", "-o", "{tmp}/out", "--fgd", "{tmp}/none"], "no such file"),
+        (["{data}", "{bundle}", "-o", "{tmp}/out", "--models", "{tmp}/none"], "no such folder"),
+        (["-o", "{tmp}/out", "--models", "{tmp}", "--no-images"], "give one"),
+        (["-o", "{tmp}/out", "--models", "{tmp}", "--videos", "{tmp}"], "DATASET BUNDLE"),
         (
             ["{data}", "{bundle}", "-o", "{tmp}/out", "--fgd", "{tmp}/taken/text"],
             "not an autoencoder",
