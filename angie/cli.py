@@ -20,7 +20,7 @@ from angie.commands.animate import ablate, animate, codebook, demo, gestures
 from angie.commands.evaluate import evaluate
 from angie.commands.prepare import phantom, prepare
 from angie.commands.study import study
-from angie.commands.train import import_mraa, info, train
+from angie.commands.train import import_mraa, info, teach, train
 from data_prep.errors import BadInput, Note
 from data_prep.progress import console
 
@@ -63,6 +63,7 @@ for command in (
     demo,
     phantom,
     prepare,
+    teach,
     train,
     evaluate,
     ablate,

@@ -1,27 +1,33 @@
 """The bundle that a training begins or goes on with.
 
-What a training takes from other bundles: weights to begin with, and a teacher.
+What a training takes from other bundles: weights to begin with, and a teacher. Its data.
 """
 
+import copy
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from torch import nn
 
-from angie.bundle import Bundle
+from angie.bundle import TRAIN, Bundle
 from angie.config import Preset, override, with_generator
 from angie.generators import DEFAULT, family
-from angie.generators.stages import plain
+from angie.generators.stages import plain, too_short
+from angie.motion.keypoints import INDEX, KeypointDataset
+from angie.motion.windows import WINDOW
 from angie.parts import difference, stage_options
+from data_prep.dataset import Dataset
 from data_prep.errors import BadInput
 from data_prep.files import check_output
 from mraa.perceptual import load_vgg19
 from mraa.regions import RegionEstimator
 from mraa.renderer import Renderer, RendererConfig, make_avd
 from mraa.training.objective import RendererTraining
+from mraa.training.pairs import Share
 from mraa.training.renderer import load_initial
 
 
@@ -108,19 +114,21 @@ def open_or_create(
     stage: str,
     resume: bool,
     force: bool,
+    origin: Path | None = None,
 ) -> Bundle:
     """The bundle of a folder, made if need be, with the settings to train it with.
 
     `preset`: sizes of a new bundle; an existing one keeps its own. `generator`: family of the
     generator to train, which is added to a bundle without it. `stage`: what will be trained, "all"
-    or a stage.
+    or a stage. `origin`: bundle whose renderer is trained on, see `trained_on`.
 
     Raises:
         BadInput: settings that cannot be, or a folder that cannot be used for this.
     """
     exists = (output / "bundle.json").exists()
     if not exists or (force and not resume):
-        settings = override(_with(preset or Preset(), generator), changes)
+        base = preset or Preset() if origin is None else trained_on(Bundle.open(origin))
+        settings = override(_with(base, generator), changes)
         first = "motion" if settings.points else "renderer"
         if stage not in ("all", first):
             raise BadInput(f"{output}: has no {first} yet; run angie train --stage {first} first")
@@ -132,7 +140,12 @@ def open_or_create(
         check_output(output, force=output.is_dir())
         if exists:
             shutil.rmtree(output)
-        return Bundle.create(output, settings)
+        bundle = Bundle.create(output, settings)
+        if origin is not None and stage == "renderer":
+            take_parts(bundle, Bundle.open(origin))
+        return bundle
+    if origin is not None:
+        raise BadInput(f"{output}: exists already; leave --from out to go on with it")
     check_output(output / "bundle.json", force=True)
     if not resume and stage == "all":
         raise BadInput(f"{output}: exists already; go on with --resume or start anew with --force")
@@ -192,6 +205,81 @@ def _training(part: str, stage: str, preset: Preset) -> dict[str, Any]:
     return {} if found is None else plain({section: found})
 
 
+def trained_on(origin: Bundle) -> Preset:
+    """Settings by which a bundle's renderer is trained on, its regions frozen.
+
+    Raises:
+        BadInput: it draws nothing.
+    """
+    origin.path_of("renderer")
+    training = replace(
+        origin.preset.train_renderer,
+        initial=str(origin.folder),
+        freeze_estimator=True,
+        warmup_steps=0,
+    )
+    return replace(origin.preset, train_renderer=training)
+
+
+def take_parts(bundle: Bundle, origin: Bundle) -> None:
+    """Copy the usable parts of a bundle with these settings into a new one, and whose motion it is.
+
+    They stay usable with every renderer of the same regions.
+    """
+    for part in (name for name in origin.parts if origin.has(name)):
+        path = origin.path_of(part)
+        shutil.copy(path, bundle.folder / path.name)
+        bundle.manifest["parts"][part] = copy.deepcopy(origin.manifest["parts"][part])
+    bundle.manifest |= {key: origin.manifest[key] for key in ("speakers", "crop")}
+    bundle.write()
+
+
 def _with(preset: Preset, generator: str | None) -> Preset:
     """A preset that has the generator which is asked for, and some generator in any case."""
     return preset if generator is None and preset.generators else with_generator(preset, generator)
+
+
+def open_data(folder: Path, output: Path) -> Dataset | KeypointDataset:
+    """A dataset of videos, or one of joints if the folder holds `clips.csv`."""
+    if (folder / INDEX).is_file():
+        return KeypointDataset(folder, output / TRAIN / "features")
+    return Dataset(folder)
+
+
+def check_data(data: Dataset | KeypointDataset, speaker: str | None, stage: str) -> None:
+    """Refuse data that cannot be trained on, before hours of the renderer's training.
+
+    Raises:
+        BadInput: no such speaker, no clips, or none as long as a window.
+    """
+    if speaker is not None and speaker not in data.speakers():
+        raise BadInput(f"--speaker {speaker}: {data.path} has {', '.join(data.speakers())}")
+    clips = data.clips("train")
+    if not clips:
+        raise BadInput(f"{data.path}: has no clips to train on; prepare more videos")
+    lengths = [clip.n_frames for clip in clips if speaker in (None, clip.speaker)]
+    if stage == "all" and max(lengths, default=0) < WINDOW:
+        raise too_short(data.path)
+
+
+def shares_of(
+    data: Dataset | KeypointDataset, also: Sequence[tuple[Path, float]], stage: str
+) -> list[Share]:
+    """The further datasets of a renderer.
+
+    Raises:
+        BadInput: no use for them, no such dataset or clips, one named twice, or a bad weight.
+    """
+    if also and (isinstance(data, KeypointDataset) or stage not in ("all", "renderer")):
+        raise BadInput("--also: only a renderer learns from several datasets")
+    shares: list[Share] = []
+    for place, weight in also:
+        if not 0 < weight < float("inf"):
+            raise BadInput(f"--also {place}:{weight:g}: the weight is a number above 0")
+        share = Share(Dataset(place), weight)
+        if not share.dataset.clips("train"):
+            raise BadInput(f"{place}: has no clips to train on; prepare more videos")
+        if share.dataset.digest in [data.digest, *(one.dataset.digest for one in shares)]:
+            raise BadInput(f"--also {place}: is named twice; name each dataset once")
+        shares.append(share)
+    return shares

@@ -1,6 +1,6 @@
 """Training a speaker bundle: renderer, motion, the stages of a generator; AVD if asked."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -9,16 +9,22 @@ from typing import Any
 from lightning_fabric import Fabric
 from numpy.typing import NDArray
 
-from angie.bundle import TRAIN, Bundle
+from angie.bundle import Bundle
 from angie.config import Preset, of_points
 from angie.generators import family
 from angie.generators.base import Family
-from angie.generators.stages import Stage, StageContext, digest, too_short
+from angie.generators.stages import Stage, StageContext, digest
 from angie.motion.clips import MotionClip, read_clips
-from angie.motion.keypoints import INDEX, KeypointClip, KeypointDataset
+from angie.motion.keypoints import KeypointClip, KeypointDataset
 from angie.motion.statistics import measure
-from angie.motion.windows import WINDOW
-from angie.opening import initial_weights, open_or_create, teacher_of
+from angie.opening import (
+    check_data,
+    initial_weights,
+    open_data,
+    open_or_create,
+    shares_of,
+    teacher_of,
+)
 from data_prep.dataset import Clip, Dataset
 from data_prep.errors import BadInput, check_choice, check_seed
 from data_prep.files import alone, check_apart
@@ -29,8 +35,10 @@ from mraa.extract import extract_dataset
 from mraa.motion import Motion, read_motion
 from mraa.perceptual import PerceptualDistance
 from mraa.reconstruction import reconstruct, spread
+from mraa.renderer import Renderer
 from mraa.training.avd import recovery, train_avd
 from mraa.training.devices import keep_memory
+from mraa.training.pairs import Share
 from mraa.training.renderer import train_renderer
 from mraa.training.run import RunConfig, launch, native_precision
 
@@ -46,6 +54,7 @@ class Trainer:
     resume: bool
     fabric: Fabric
     speaker: str | None = None
+    also: Sequence[Share] = ()
 
     @property
     def data_digest(self) -> str:
@@ -68,7 +77,8 @@ class Trainer:
     def publish(self, part: str, make: Callable[[], Any], **report: Any) -> None:
         """Put what `make` returns into the bundle as a part: once, whatever the processes."""
         if self.fabric.global_rank == 0:
-            clips = [clip for clip in self.dataset.clips("train") if self.wanted(clip)]
+            everyone = part == "renderer"  # whose motion is learnt counts for the others
+            clips = [c for c in self.dataset.clips("train") if everyone or self.wanted(c)]
             origin = {
                 "dataset": self.dataset.path.resolve().name,
                 "dataset_sha256": self.data_digest,
@@ -94,28 +104,61 @@ class Trainer:
             training,
             self.bundle.train,
             seed=self.seed,
-            run_config=self.how("renderer", self.run.precision),
+            run_config=self.how(
+                "renderer", self.run.precision, {"also": self.others} if self.also else None
+            ),
             resume=self.resume,
             teacher=teacher_of(training, preset.renderer),
+            also=self.also,
         )
-        report: dict[str, Any] = {
-            "perceptual": preset.train_renderer.backend,
-            "precision": self.run.precision,
-        }
-        tests = self.dataset.clips("test")
-        if tests and self.fabric.global_rank == 0:
-            measure_by = PerceptualDistance(preset.train_renderer.perceptual_weights)
-            some = spread(tests)
-            score = reconstruct(renderer, self.dataset, some, perceptual=measure_by)
-            report["reconstruction"] = {**score.as_dict(), "clips": len(some)}
-            console.print(f"renderer, on held-out frames: {score}", soft_wrap=True)
-        self.bundle.manifest["speakers"] = self.dataset.speakers()
+        report: dict[str, Any] = {"perceptual": training.backend, "precision": self.run.precision}
+        origin = Path(preset.train_renderer.initial)
+        if preset.train_renderer.initial and origin.is_dir():
+            before = Bundle.open(origin)
+            report["initial"] = before.hash_of("renderer")
+            if "credits" in before.report("renderer"):
+                report["credits"] = before.report("renderer")["credits"]
+        if self.fabric.global_rank == 0:
+            report |= self.measured(renderer)
+        if not self.bundle.has("statistics"):  # else they are whose motion it is
+            self.bundle.manifest["speakers"] = self.dataset.speakers()
         self.bundle.manifest["crop"] = {"side_in_faces": SIDE_IN_FACES, "face_down": FACE_DOWN}
         self.publish("renderer", renderer.state_dict, **report)
+
+    def measured(self, renderer: Renderer) -> dict[str, Any]:
+        """How well a renderer reconstructs test clips of each dataset, for its report."""
+        assert isinstance(self.dataset, Dataset)
+        measure_by = PerceptualDistance(self.bundle.preset.train_renderer.perceptual_weights)
+        own: dict[str, Any] = {}
+        entries = [own, *self.others]
+        datasets = [self.dataset, *(share.dataset for share in self.also)]
+        for entry, data in zip(entries, datasets, strict=True):
+            some = spread(data.clips("test"))
+            if some:
+                score = reconstruct(renderer, data, some, perceptual=measure_by)
+                entry["reconstruction"] = {**score.as_dict(), "clips": len(some)}
+                of = f" of {data.path.name}" if self.also else ""
+                console.print(f"renderer, on held-out frames{of}: {score}", soft_wrap=True)
+        return own | ({"also": entries[1:]} if self.also else {})
+
+    @property
+    def others(self) -> list[dict[str, Any]]:
+        """The further datasets that the renderer learns from, for reports."""
+        return [
+            {
+                "dataset": share.dataset.path.resolve().name,
+                "sha256": share.dataset.digest,
+                "weight": share.weight,
+                "clips": len(clips := share.dataset.clips("train")),
+                "minutes": round(sum(c.n_frames for c in clips) / FPS / 60, 2),
+            }
+            for share in self.also
+        ]
 
     def motion(self) -> None:
         """Measure the motion of all clips, if it is not given, and its statistics."""
         path = self.bundle.train / "statistics.safetensors"
+        self.bundle.name_regions()
 
         def make() -> Path:
             if isinstance(self.dataset, Dataset):
@@ -199,7 +242,7 @@ class Trainer:
     @property
     def motion_identity(self) -> str:
         """What the region motion was measured by and on."""
-        return f"{self.bundle.hash_of('renderer')}-{self.data_digest}"
+        return self.bundle.motion_identity(self.data_digest)
 
     def clips(self, split: str) -> list[MotionClip]:
         """Motion and features of a split."""
@@ -228,7 +271,7 @@ class Trainer:
         self, part: str, precision: str = "32-true", resumes: Mapping[str, Any] | None = None
     ) -> RunConfig:
         """How to run a stage; those of motion are small and stay in float32."""
-        upstream = [self.bundle.hash_of(name) for name in self.bundle.upstream(part)]
+        upstream = list(self.bundle.chain(part).values())
         sizes = self.bundle.sizes_of(part)
         identity = digest(part, sizes, self.seed, self.data_digest, upstream, dict(resumes or {}))
         return replace(self.run, precision=precision, identity=identity)
@@ -240,13 +283,6 @@ SHARED: dict[str, tuple[str, Callable[[Trainer], None]]] = {
     "avd": ("avd", Trainer.avd),
 }
 """Stages that all generators share: the part that each makes, and what makes it."""
-
-
-def open_data(folder: Path, output: Path) -> Dataset | KeypointDataset:
-    """A dataset of videos, or one of joints if the folder holds `clips.csv`."""
-    if (folder / INDEX).is_file():
-        return KeypointDataset(folder, output / TRAIN / "features")
-    return Dataset(folder)
 
 
 def train(
@@ -261,6 +297,8 @@ def train(
     force: bool = False,
     seed: int = 0,
     speaker: str | None = None,
+    also: Sequence[tuple[Path, float]] = (),
+    origin: Path | None = None,
     run: RunConfig | None = None,
 ) -> Bundle:
     """Train the stages of a speaker bundle.
@@ -279,6 +317,10 @@ def train(
         seed: everything random follows from it.
         speaker: whose motion alone is learnt; None learns that of all. The motion stage settles
             it for those after it.
+        also: further datasets for the renderer alone, with the number of pairs drawn of each for
+            every pair of `dataset`.
+        origin: bundle whose renderer is trained on with its regions frozen; a new one of which
+            the renderer alone is trained keeps its motion, too.
         run: device, precision and so on.
 
     Raises:
@@ -288,9 +330,10 @@ def train(
         own = (one.name for one in family(generator).stages)
         check_choice("--stage", stage, [*SHARED, *own, "all"])
     check_seed(seed)
-    check_apart(output, [dataset])
+    check_apart(output, [dataset, *(place for place, _ in also), *([origin] if origin else [])])
     data = open_data(dataset, output)
-    _check_data(data, speaker, stage)
+    check_data(data, speaker, stage)
+    shares = shares_of(data, also, stage)
     if isinstance(data, KeypointDataset):
         preset = None if preset is None else of_points(preset, data.joints())
         data.check_sound()
@@ -300,7 +343,9 @@ def train(
     fabric = launch(run)
     with alone(output) if fabric.global_rank == 0 else nullcontext():
         if fabric.global_rank == 0:
-            open_or_create(Path(output), preset, changes or {}, generator, stage, resume, force)
+            open_or_create(
+                Path(output), preset, changes or {}, generator, stage, resume, force, origin
+            )
         fabric.barrier()
         keep_memory()
         bundle = Bundle.open(output)
@@ -311,7 +356,7 @@ def train(
             raise BadInput(
                 f"--speaker {speaker}: {output} was measured on others; --stage motion first"
             )
-        trainer = Trainer(data, bundle, seed, run, resume, fabric, speaker)
+        trainer = Trainer(data, bundle, seed, run, resume, fabric, speaker, shares)
         found = family(bundle.chosen(generator))
         stages = stages_of(bundle, found)
         for name in _chosen(stage, bundle, found):
@@ -322,22 +367,6 @@ def train(
                 continue
             action(trainer)
         return trainer.bundle
-
-
-def _check_data(data: Dataset | KeypointDataset, speaker: str | None, stage: str) -> None:
-    """Refuse data that cannot be trained on, before hours of the renderer's training.
-
-    Raises:
-        BadInput: no such speaker, no clips, or none as long as a window.
-    """
-    if speaker is not None and speaker not in data.speakers():
-        raise BadInput(f"--speaker {speaker}: {data.path} has {', '.join(data.speakers())}")
-    clips = data.clips("train")
-    if not clips:
-        raise BadInput(f"{data.path}: has no clips to train on; prepare more videos")
-    lengths = [clip.n_frames for clip in clips if speaker in (None, clip.speaker)]
-    if stage == "all" and max(lengths, default=0) < WINDOW:
-        raise too_short(data.path)
 
 
 def stages_of(bundle: Bundle, found: Family) -> dict[str, tuple[str, Callable[[Trainer], None]]]:

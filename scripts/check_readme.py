@@ -66,7 +66,7 @@ LONG = (
     "python scripts/check_sync.py",
     "python scripts/fuzz.py",
     "python scripts/compare_renderers.py",
-    "python scripts/teach_renderer.py",
+    "angie teach",
     "bash scripts/prove_motion.sh",
     "bash scripts/train_default.sh",
 )

@@ -1,17 +1,20 @@
 """Train the renderer on the first seconds of a real video and reconstruct the rest.
 
-    python scripts/check_real.py VIDEO WORK [--until 15] [--steps 300,600,1200] [key=value ...]
+    python scripts/check_real.py VIDEO WORK [--until 15] [--steps 300,600,1200] [--from BUNDLE]
+        [--minutes 30] [key=value ...]
 
 The video is cut in two at `--until` seconds, both parts are cropped alike and prepared; a `lite`
-renderer is trained from nothing on the first part alone. After each number of steps every tenth
+renderer is trained from nothing on the first part alone, or that of a bundle (`--from shipped` for
+the package's own) is trained on with its regions frozen. After each number of steps every tenth
 frame of the second part is drawn from the first frame of its clip (MRAA's protocol), and compared
 with showing that first frame throughout. Prints the curve, writes a sheet of the last state to
 WORK/reconstruction.png: source, truth, prediction for frames spread over the second part. Run
-again, it goes on where it was.
+again, it goes on where it was. With --minutes it ends before the training would take longer.
 """
 
 import argparse
 import itertools
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +22,7 @@ import cv2
 import numpy as np
 import torch
 
-from angie.bundle import Bundle
+from angie.bundle import BUNDLE, Bundle
 from angie.config import parse_overrides, preset
 from angie.training import train
 from data_prep.dataset import TABLE, Dataset, write_table
@@ -94,6 +97,8 @@ def main() -> None:
     parser.add_argument("settings", nargs="*")
     parser.add_argument("--until", type=float, default=15.0)
     parser.add_argument("--steps", default="300,600,1200")
+    parser.add_argument("--from", dest="origin", help="bundle to train on, or shipped")
+    parser.add_argument("--minutes", type=float, default=float("inf"))
     given = parser.parse_intermixed_args()
     given.work.mkdir(exist_ok=True)
     if not (given.work / "second" / TABLE).exists():
@@ -104,23 +109,31 @@ def main() -> None:
     print(
         "| steps | L1 | PSNR | L1 of the source | PSNR of the source | gain |\n" + "|---" * 6 + "|"
     )
+    origin = BUNDLE if given.origin == "shipped" else given.origin and Path(given.origin)
+    begun, spent, done = time.monotonic(), 0.0, 0
     for steps in map(int, given.steps.split(",")):
+        if done and spent * steps / done > 60 * given.minutes:
+            print(f"{spent / 60:.1f} minutes of training; {steps} steps would take too long")
+            break
         changes = parse_overrides([*given.settings, f"train_renderer.steps={steps}"])
         bundle = train(
             first,
             given.work / "bundle",
-            preset=preset("lite"),
+            preset=None if origin else preset("lite"),
             changes=changes,
             stage="renderer",
             resume=True,
+            origin=None if (given.work / "bundle" / "bundle.json").exists() else origin,
             run=RunConfig(device="cpu", precision=native_precision("cpu")),
         )
+        spent, done = spent + time.monotonic() - begun, steps
         renderer = Bundle.open(bundle.folder).renderer()
         score = reconstruct(renderer, second, second.clips())
         cells = [f"{score.l1:.4f}", f"{score.psnr:.2f}", f"{score.copy_l1:.4f}"]
         cells += [f"{score.copy_psnr:.2f}", f"{score.psnr - score.copy_psnr:+.2f} dB"]
         print(f"| {steps} | " + " | ".join(cells) + " |", flush=True)
         write_reconstructions(given.work / "reconstruction.png", renderer, second)
+        begun = time.monotonic()
 
 
 if __name__ == "__main__":

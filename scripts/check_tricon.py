@@ -252,7 +252,7 @@ def main() -> None:
     options = parser.parse_args()
     data, first = Dataset(options.work / "set"), Bundle.open(options.bundles[0])
     stats = first.statistics()
-    identity = f"{first.hash_of('renderer')}-{data.digest}"
+    identity = first.motion_identity(data.digest)
     train, test = (read_clips(data, first.train / "motion", s, identity) for s in ("train", "test"))
     windows, labels = true_strokes(data, train, options.work / "truth", stats)
     kinds, numbers = np.unique(labels, return_counts=True)

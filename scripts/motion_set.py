@@ -129,10 +129,12 @@ def finish(work: Path, source: Bundle, clips: list[Clip]) -> None:
     }  # fmt: skip
     (data / MANIFEST).write_text(json.dumps(manifest, indent=1))
     write_table(data / TABLE, divided.clips, FPS)
-    identity = f"{source.hash_of('renderer')}-{Dataset(data).digest}"
     if not (base / "bundle.json").is_file():
         shutil.copytree(source.folder, base, dirs_exist_ok=True)
-    folder = Bundle.open(base).train / "motion"
+    bundle = Bundle.open(base)
+    bundle.name_regions()
+    bundle.write()
+    identity, folder = bundle.motion_identity(Dataset(data).digest), bundle.train / "motion"
     folder.mkdir(parents=True, exist_ok=True)
     for clip in divided.clips:
         motion = read_motion(work / "motion" / f"{clip.id}.npz")[: clip.n_frames]

@@ -3,7 +3,7 @@
 #   bash scripts/train_default.sh WORK [SIGNER AVATARS MODELS]
 # Many hours on two cores; run again, it goes on. With the folders of other people's videos and of
 # the networks that see hands, the pictures are trained on a GPU at last (see train_on_gpu.sh).
-# Regions and masks are taught the joints of 16 phantoms first (see teach_renderer.py), a slim
+# Regions and masks are taught the joints of 16 phantoms first (angie teach), a slim
 # renderer is trained with them, then the deep one: 1800 steps in which the regions learn without
 # labels on 20 minutes of four phantoms, 1200 in which they rest on 70 minutes. Motion is learnt from
 # 116 other minutes, as in prove_motion.sh.
@@ -38,7 +38,7 @@ videos 20 20 4 0
 videos 70 70 4 0
 videos 116 116 4 1
 [ -f "$work/taught.safetensors" ] ||
-  python "$here/teach_renderer.py" "$work/raw16" "$work/data16" "$work/taught.safetensors" "${slim[@]}"
+  angie teach "$work/data16" -o "$work/taught.safetensors" --truth "$work/raw16" --resume "${slim[@]}"
 renderer data16 slim "${slim[@]}" train_renderer.initial="$work/taught.safetensors" \
   train_renderer.freeze_estimator=true train_renderer.steps=2600 train_renderer.rate=4e-4 \
   "train_renderer.milestones=[0.6, 0.9]" train_renderer.occlusion_cost=2 \
@@ -74,5 +74,11 @@ if [ $# -ge 4 ]; then
     bash "$here/train_on_gpu.sh" train "$work/packed" "$work/drawn" --refine 8 --rate 0.0012
   [ -d "$shipped" ] ||
     python "$here/replace_renderer.py" "$work/bundle" "$work/drawn/final.safetensors" "$shipped"
+  [ -f "$work/pictures.md" ] || { # people whom no training has seen
+    python "$here/check_pictures.py" "signer=$2" "avatars=$3" "phantom=$work/raw9" --models "$4" \
+      --renderer before="$work/bundle" --renderer after="$shipped" --sheet "$work/sheets" \
+      >"$work/pictures.md.part"
+    mv "$work/pictures.md.part" "$work/pictures.md"
+  }
 fi
 python "$here/ship_default.py" "$shipped"

@@ -41,7 +41,6 @@ def test_every_script_has_help(run, name):
         (["bench_frames.py", "{tmp}"], "dataset.json"),
         (["bench_angie.py", "0"], "above 0"),
         (["ship_default.py", "{tmp}"], "not a speaker bundle"),
-        (["teach_renderer.py", "{tmp}", "{tmp}", "{tmp}/out"], "20 regions are taught, not 12"),
         (["refit_renderer.py", "{tmp}/none.safetensors", "{tmp}/out"], "none.safetensors: not the"),
         (["refit_renderer.py", "{tmp}/text", "{tmp}/out"], "text: not the weights"),
         (["compare_renderers.py", "{tmp}", "{tmp}/out", "--only", "lap,depe"], "--only depe: "),
@@ -53,8 +52,6 @@ def test_every_script_has_help(run, name):
 def test_bad_input_of_a_script_is_one_line(run, tmp_path, arguments, words):
     (tmp_path / "text").write_text("no weights")
     given = [argument.format(tmp=tmp_path) for argument in arguments]
-    if given[0] == "teach_renderer.py":
-        given.append("renderer.regions=12")
     status, out, err = run(*given)
     assert status == 2 and out == "" and err.startswith(f"{given[0]}: ")
     assert words in err and err.count("\n") == 1
@@ -62,10 +59,9 @@ def test_bad_input_of_a_script_is_one_line(run, tmp_path, arguments, words):
 
 
 def test_truth_of_other_videos_is_told(run, dataset, bundle, tmp_path):
-    for name, last in (("check_regions.py", bundle.folder), ("teach_renderer.py", tmp_path / "o")):
-        status, out, err = run(name, tmp_path, dataset.path, last)
-        assert status == 2 and out == "" and err.count("\n") == 1
-        assert ".truth.npz; give what `angie phantom` wrote" in err
+    status, out, err = run("check_regions.py", tmp_path, dataset.path, bundle.folder)
+    assert status == 2 and out == "" and err.count("\n") == 1
+    assert "holds the truth (*.truth.npz) of no clip" in err
     status, _, err = run("check_regions.py", tmp_path, dataset.path, bundle.folder, "--stride", "0")
     assert status == 2 and "no test frames are left" in err
     assert list(tmp_path.iterdir()) == []

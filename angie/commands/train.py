@@ -1,4 +1,4 @@
-"""Commands that make speaker bundles and tell of them: train, import-mraa, info."""
+"""Commands that make speaker bundles and tell of them: train, teach, import-mraa, info."""
 
 import os
 from pathlib import Path
@@ -27,8 +27,23 @@ def train(
             "all but avd."
         ),
     ] = "all",
+    also: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A further dataset for the renderer, DATASET or DATASET:WEIGHT: so many pairs of "
+            "frames for each one of the first dataset. May be given several times."
+        ),
+    ] = None,
     speaker: Annotated[
         str | None, typer.Option(help="Learn only the motion of this speaker of the dataset.")
+    ] = None,
+    origin: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            help="Bundle whose renderer is trained on, its regions frozen; shipped names the one "
+            "of the package. With --stage renderer the new bundle gestures as that one does.",
+        ),
     ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue an interrupted training.")
@@ -47,13 +62,17 @@ def train(
     """Train a speaker bundle: the renderer, its motion, and a gesture generator."""
     if output is None:
         raise BadInput("--output: name the folder of the bundle, -o BUNDLE")
+    from angie.bundle import BUNDLE
     from angie.config import parse_overrides
     from angie.config import preset as find
     from angie.training import train as run
     from mraa.training.run import RunConfig
 
     known = (output / "bundle.json").exists() and (resume or not force)
-    chosen = find(preset or "lite", generator) if preset or not known else None
+    if origin is not None and preset is not None:
+        raise BadInput("--from and --preset: give one; the sizes are those of the bundle")
+    given = preset is not None or (origin is None and not known)
+    chosen = find(preset or "lite", generator) if given else None
     check_choice("--precision", precision, ("auto", "32-true", "bf16-mixed", "16-mixed"))
     if device != "auto":
         device_of(device)
@@ -69,10 +88,70 @@ def train(
         force=force,
         seed=seed,
         speaker=speaker,
+        also=[weighted(text) for text in also or []],
+        origin=None if origin is None else BUNDLE if origin == "shipped" else Path(origin),
         run=how,
     )
     if int(os.environ.get("LOCAL_RANK", "0")) == 0:  # one line, however many processes
         print(f"{bundle.folder}: {', '.join(bundle.manifest['parts'])}")
+
+
+def teach(
+    dataset: Annotated[Path, typer.Argument(help="Folder that angie prepare made.")],
+    settings: Settings = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="The .safetensors to write.")
+    ] = None,
+    models: Annotated[
+        Path | None,
+        typer.Option(help="Folder of MediaPipe's networks, which see bodies and hands."),
+    ] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(help="Folder of drawn people's videos with their truth (angie phantom)."),
+    ] = None,
+    preset: Annotated[str, typer.Option(help="paper, lite or tiny.")] = "lite",
+    region_steps: Annotated[int, typer.Option(min=1, help="Steps of the regions.")] = 900,
+    mask_steps: Annotated[int, typer.Option(min=1, help="Steps of the masks.")] = 1500,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue an interrupted teaching.")
+    ] = False,
+    seed: Seed = 0,
+    device: Device = "auto",
+    force: Force = False,
+) -> None:
+    """Teach a renderer where limbs are; train begins with it by train_renderer.initial=FILE."""
+    if output is None:
+        raise BadInput("--output: name the weights to write, -o OUT.safetensors")
+    from angie.config import override, parse_overrides
+    from angie.config import preset as find
+    from angie.teaching import teach_dataset
+    from mraa.training.run import RunConfig, native_precision
+    from mraa.training.teach import Teaching
+
+    place = device_of(device)
+    clips = teach_dataset(
+        dataset,
+        output,
+        override(find(preset), parse_overrides(settings or [])),
+        truth=truth,
+        models=models,
+        how=Teaching(region_steps, mask_steps),
+        seed=seed,
+        run_config=RunConfig(device=place, precision=native_precision(place)),
+        resume=resume,
+        force=force,
+    )
+    print(f"{output}: taught by {clips} clips")
+
+
+def weighted(text: str) -> tuple[Path, float]:
+    """A dataset and its weight of DATASET or DATASET:WEIGHT."""
+    place, colon, number = text.rpartition(":")
+    try:
+        return (Path(place), float(number)) if colon and place else (Path(text), 1.0)
+    except ValueError:  # a colon of the path's own
+        return Path(text), 1.0
 
 
 def import_mraa(

@@ -1,10 +1,13 @@
 import dataclasses
+from pathlib import Path
 
 import pytest
 
 from angie.bundle import BUNDLE, Bundle
-from angie.config import preset
+from angie.commands.train import weighted
+from angie.config import parse_overrides, preset
 from angie.opening import initial_weights, teacher_of
+from angie.training import train
 from data_prep.errors import BadInput
 from mraa.training.objective import RendererTraining
 from mraa.training.pairs import Augmentation
@@ -61,3 +64,46 @@ def test_settings_that_make_no_sense_together_are_told():
     for changes, words in (({"hue": -1.0}, "colour"), ({"time_flip": 2.0}, "probabilities")):
         with pytest.raises(ValueError, match=words):
             Augmentation(**changes)
+
+
+def test_a_renderer_trained_on_keeps_the_motion_of_the_bundle_it_comes_from(
+    bundle, dataset, tmp_path
+):
+    changes = parse_overrides(["train_renderer.steps=1", "train_renderer.batch=2"])
+    made = train(
+        dataset.path, tmp_path / "new", changes=changes, stage="renderer", origin=bundle.folder
+    )
+    assert made.regions() == bundle.regions()
+    assert made.hash_of("renderer") != bundle.hash_of("renderer")
+    assert made.preset.train_renderer.freeze_estimator
+    assert made.hash_of("angie.gpt") == bundle.hash_of("angie.gpt")
+    assert made.generator() is not None and made.manifest["speakers"] == ["adam", "bella"]
+    report = made.report("renderer")
+    assert report["initial"] == bundle.hash_of("renderer") and "reconstruction" in report
+    assert report["clips"] == len(dataset.clips("train"))
+    with pytest.raises(BadInput, match="exists already; leave --from out"):
+        train(dataset.path, made.folder, stage="renderer", origin=bundle.folder)
+
+
+def test_further_datasets_are_reported_and_refused_where_they_are_of_no_use(
+    bundle, dataset, tmp_path
+):
+    (tmp_path / "other").symlink_to(dataset.path)
+    for also, words in (
+        ([(tmp_path / "none", 1.0)], "not a dataset"),
+        ([(tmp_path / "other", 1.0)], "named twice"),
+        ([(tmp_path / "other", 0.0)], "the weight is a number above 0"),
+    ):
+        with pytest.raises(BadInput, match=words):
+            train(dataset.path, tmp_path / "new", also=also, stage="renderer")
+    with pytest.raises(BadInput, match="only a renderer learns from several"):
+        train(dataset.path, bundle.folder, also=[(tmp_path / "other", 1.0)], stage="vq")
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [("a", ("a", 1)), ("a:0.5", ("a", 0.5)), ("C:/a", ("C:/a", 1)), ("C:/a:2", ("C:/a", 2))],
+)
+def test_a_weight_stands_behind_the_last_colon(text, meant):
+    assert weighted(text) == (Path(meant[0]), meant[1])
