@@ -148,7 +148,7 @@ def test_the_number_of_regions_reaches_every_part():
         ("renderer.flow_scale=0.3", "1 over a whole number"),
         ("train_renderer.batch=0", "must be positive"),
         ("layers", "give key=value"),
-        ("missing.yaml", "cannot be read"),
+        ("missing.yaml", "no such file"),
     ],
 )
 def test_wrong_settings_are_told(argument, message):
