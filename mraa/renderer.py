@@ -17,6 +17,9 @@ from mraa.flow import PARAMETERS, BackgroundPredictor, Flow, FlowPredictor
 from mraa.generator import DeepGenerator, ImageGenerator, LiteGenerator
 from mraa.regions import RegionEstimator, Regions
 
+MOST_BLOCKS, WIDEST = 100, 1 << 16
+"""Blocks in a row, and channels, beyond which a setting is a slip of the pen."""
+
 
 @dataclass(frozen=True)
 class HourglassConfig:
@@ -29,6 +32,8 @@ class HourglassConfig:
     def __post_init__(self) -> None:
         if min(self.width, self.blocks) < 1 or self.max_width < self.width:
             raise ValueError("width and blocks must be positive, max_width not below width")
+        if self.blocks > MOST_BLOCKS or self.max_width > WIDEST:
+            raise ValueError(f"at most {MOST_BLOCKS} blocks and a width of {WIDEST}")
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,8 @@ class GeneratorConfig:
         counts = (self.down_blocks, self.bottleneck_blocks, self.refine_blocks, self.half_blocks)
         if self.width < 1 or min(counts) < 0:
             raise ValueError("width must be positive, numbers of blocks not negative")
+        if max(counts) > MOST_BLOCKS or max(self.width, self.max_width) > WIDEST:
+            raise ValueError(f"at most {MOST_BLOCKS} blocks and a width of {WIDEST}")
         if self.design == "paper" and self.max_width < self.width:
             raise ValueError("max_width must not lie below width")
         if self.design == "paper" and IMAGE_SIZE % 2**self.down_blocks:

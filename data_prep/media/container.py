@@ -27,6 +27,10 @@ MAX_JUMP_AHEAD, MAX_JUMP_BACK = 3600.0, 1.0
 """Seconds by which timestamps may jump; beyond that, files were joined without correcting them."""
 
 
+_RENUMBER = "-vf setpts=N/FRAME_RATE/TB -af asetpts=N/SR/TB"
+"""Lets ffmpeg count frames and samples anew; a copy would lose part of a Matroska file."""
+
+
 def check_file(path: Path) -> None:
     """Refuse a path that is no readable, non-empty file.
 
@@ -58,7 +62,7 @@ def check_jump(path: Path, before: float, after: float) -> None:
     if after - before > MAX_JUMP_AHEAD or before - after > MAX_JUMP_BACK:
         raise BadInput(
             f"{path}: its timestamps jump (from {before:.1f} to {after:.1f} s); "
-            f"repair them with: ffmpeg -i {shlex.quote(path.name)} -c copy mended.mkv"
+            f"repair them with: ffmpeg -i {shlex.quote(path.name)} {_RENUMBER} mended.mkv"
         )
 
 

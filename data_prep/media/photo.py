@@ -1,6 +1,7 @@
 """Photos: any picture file as upright 8-bit RGB."""
 
 import contextlib
+import logging
 import struct
 import warnings
 from pathlib import Path
@@ -12,6 +13,8 @@ from data_prep.errors import BadInput
 from data_prep.media.colours import to_srgb
 from data_prep.media.container import check_file, describe
 from data_prep.media.kinds import HEIC, kind_of
+
+logging.getLogger("PIL").addHandler(logging.NullHandler())  # what is wrong is told in one line
 
 MIN_SIDE = 32
 """Pixels of the shorter side below which nothing can be recognised."""

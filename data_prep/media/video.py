@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 from av.container import InputContainer
 from av.video.frame import VideoFrame
@@ -85,6 +86,25 @@ def _square_pixel_width(stream: VideoStream, width: int) -> int:
     return round(width * aspect) if aspect else width
 
 
+_BYTE_LUMA = ("yuv420p", "yuvj420p", "yuv422p", "yuvj422p", "yuv444p", "yuvj444p", "nv12")
+"""Formats whose first plane is the grey picture, a byte a pixel."""
+
+_WIDER = np.clip(np.rint((np.arange(256) - 16) * (255 / 219)), 0, 255).astype(np.uint8)
+"""Limited range as full range."""
+
+
+def _luma(frame: VideoFrame, full: bool) -> np.ndarray:
+    """The grey picture of a frame that holds it, in full range: a quarter of a conversion."""
+    plane = frame.planes[0]
+    rows = np.frombuffer(plane, np.uint8).reshape(plane.height, plane.line_size)
+    return rows[:, : plane.width].copy() if full else cv2.LUT(rows[:, : plane.width], _WIDER)
+
+
+def _turned(pixels: np.ndarray, frame: VideoFrame) -> np.ndarray:
+    turns = _quarter_turns(frame)
+    return np.ascontiguousarray(np.rot90(pixels, turns)) if turns else pixels
+
+
 class _Converter:
     """Converts frames to upright pixels, with the colour matrix that their tags (or size) imply.
 
@@ -113,6 +133,9 @@ class _Converter:
         if self.longest is not None:
             scale = min(1.0, self.longest / max(width, height))
             width, height = (max(round(side * scale), 2) for side in (width, height))
+        same = (width, height) == (frame.width, frame.height)
+        if self.format == "gray" and same and frame.format.name in _BYTE_LUMA:
+            return _turned(_luma(frame, full), frame)
         pixels = self._reformatter.reformat(
             frame,
             width=width,
@@ -124,8 +147,7 @@ class _Converter:
             dst_color_range=_FULL_RANGE,
             interpolation="AREA" if self.longest is not None else None,
         ).to_ndarray()
-        turns = _quarter_turns(frame)
-        return np.ascontiguousarray(np.rot90(pixels, turns)) if turns else pixels
+        return _turned(pixels, frame)
 
 
 def probe(path: Path) -> VideoInfo:

@@ -1,5 +1,6 @@
 """Clips: where to cut a long video, whether a clip is worth keeping, and the files of one."""
 
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -104,6 +105,11 @@ class Piece:
     frames: list[np.ndarray]
     samples: np.ndarray
 
+    @functools.cached_property
+    def changes(self) -> np.ndarray:
+        """Mean grey level, of 255, by which each frame differs from the one before."""
+        return _changes(self.frames)
+
 
 def piece_of_sound(samples: np.ndarray, first: int, count: int) -> np.ndarray:
     """Samples under `count` frames from frame `first` on; silence where the sound is over."""
@@ -126,16 +132,11 @@ def _changes(frames: list[np.ndarray]) -> np.ndarray:
     return np.asarray(np.abs(np.diff(small, axis=0)).mean(axis=(1, 2)))
 
 
-def motion(frames: list[np.ndarray]) -> float:
-    """Mean grey level, of 255, by which neighbouring frames `(256, 256, 3)` uint8 differ."""
-    return float(_changes(frames).mean())
-
-
 def fault(piece: Piece, config: IngestionConfig) -> str | None:
     """Why a clip must be dropped by its pictures, or None."""
     if len(piece.frames) < config.fewest:
         return config.too_short
-    change = _changes(piece.frames)
+    change = piece.changes
     if change.mean() < MIN_MOTION:
         return "without motion"
     if change.max() > MAX_JUMP:

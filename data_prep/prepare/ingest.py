@@ -20,7 +20,6 @@ from data_prep.prepare.clips import (
     Piece,
     clip_bounds,
     fault,
-    motion,
     piece_of_sound,
     tracking_fault,
     write_clip,
@@ -127,7 +126,7 @@ def _ingest(
         )  # fmt: skip
         height = 0.0 if plan.take.span.face is None else plan.take.span.face.h
         outcome.clips.append(clip)
-        outcome.details[clip.id] = ClipDetail(plan.number, height, motion(piece.frames))
+        outcome.details[clip.id] = ClipDetail(plan.number, height, float(piece.changes.mean()))
 
 
 def _sound(source: Source, info: VideoInfo, analysis: Analysis, silent_ok: bool) -> np.ndarray:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from data_prep.arrays import read_arrays
 from data_prep.errors import BadInput
+from data_prep.files import whole_file
 from data_prep.rates import FPS, SAMPLE_RATE, frames_covering, tokens_covering
 from data_prep.speech import causal
 from data_prep.speech.spectra import (
@@ -235,11 +236,8 @@ class FeatureFiles:
         """Store a feature that had to be computed, where the folder can be written."""
         if not os.access(self.path.parent, os.W_OK):
             return
-        path = self._other(name)
-        part = path.with_name(f".{path.name}.{os.getpid()}.part")
-        with part.open("wb") as file:
+        with whole_file(self._other(name), force=True) as part, part.open("wb") as file:
             np.savez(file, values=values, frames=np.array(self.frames))
-        os.replace(part, path)
 
     def _other(self, name: str) -> Path:
         return self.path.with_name(f"{self.path.stem}.{name}.npz")
@@ -249,7 +247,10 @@ def _read_arrays(path: Path, names: Iterable[str]) -> list[NDArray]:
     try:
         names = list(names)
         arrays = read_arrays(path, names)
-        return [arrays[name] for name in names]
+        found = [arrays[name] for name in names]
+        if not all(values.dtype.kind in "biuf" and np.isfinite(values).all() for values in found):
+            raise ValueError("not numbers")
+        return found
     except (ValueError, KeyError) as error:
         raise BadInput(f"{path}: damaged or missing; prepare the dataset again") from error
 
