@@ -41,6 +41,9 @@ def test_other_styles_are_to_move_otherwise():
     # below beta it is the square by twice beta: 0.02 ** 2 / 0.1
     assert style_loss(made(0.02, 0.0)).item() == pytest.approx(-0.004 / 0.50001, rel=1e-5)
     assert style_loss(made(1.0, 0.0, 0.3, 0.3)).item() == -1000  # 0.975 / 1e-5 is more
+    several = made(1.0, 0.0)  # two frames of three channels
+    several = several._replace(pose=torch.ones(1, 2, 3), other_pose=torch.zeros(1, 2, 3))
+    assert style_loss(several).item() == pytest.approx(6 * -0.975 / 0.50001)
     result = made(0.5, 0.2)
     style_loss(result).backward()
     assert result.pose.grad.item() < 0  # going down, the pose leaves the other one
@@ -49,7 +52,7 @@ def test_other_styles_are_to_move_otherwise():
 def test_the_divergence_from_a_standard_gaussian():
     zero, one = torch.zeros(2, 3), torch.ones(2, 3)
     assert divergence(zero, zero) == 0
-    assert divergence(one, zero).item() == pytest.approx(0.5)
+    assert divergence(3 * one, zero).item() == pytest.approx(4.5)
     # log variance 1: -0.5 (1 + 1 - e)
     assert divergence(zero, one).item() == pytest.approx(0.5 * (math.e - 2))
 
