@@ -178,7 +178,7 @@ def truths(dataset: Dataset, raw: Path) -> dict[str, Truth]:
 def _truth_of(path: Path, clip: Clip, source: dict[str, Any]) -> Truth | None:
     """The truth of one clip in pixels of its frames; None where it does not reach."""
     try:
-        arrays = read_arrays(path, ("joints",))
+        arrays = read_arrays(path, ("joints", "fingers"))
         joints = arrays["joints"].astype(np.float64)
         fingers = arrays["fingers"].astype(np.float64) if "fingers" in arrays else None
         if joints.ndim != 3 or joints.shape[2] != 2:

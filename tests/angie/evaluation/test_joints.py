@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from angie.evaluation.space import fit_reader, true_joints
+from angie.evaluation.space import fit_reader, true_joints, truths
 from data_prep.errors import BadInput
 
 
@@ -25,6 +25,19 @@ def test_joints_of_the_phantom_lie_on_the_frames(phantom_videos, dataset):
         crown, chin = own[:, 0], own[:, 2]
         assert (crown[:, 1] < chin[:, 1]).all()  # y is down
         assert (own[:, :4] > 0).all() and (own[:, :4] < 256).all()  # the head is in the picture
+
+
+def test_finger_tips_are_read_where_they_are_known(phantom_videos, dataset, tmp_path):
+    for path in phantom_videos.rglob("*.truth.npz"):
+        with np.load(path) as file:
+            joints = file["joints"]
+        tips = np.repeat(joints[:, [7, 11], None], 5, axis=2)  # all in the middle of the hand
+        np.savez(tmp_path / path.name, joints=joints, fingers=tips)
+    for name, truth in truths(dataset, tmp_path).items():
+        assert np.array_equal(truth.fingers[:, :, 2], truth.joints[:, [7, 11]]), name
+        first = truth.at(0)
+        assert np.array_equal(first.centres[:2], first.tips[:, 0])
+        assert np.array_equal(first.wrists, truth.joints[0, [6, 10]])
 
 
 def test_a_folder_without_truth_is_refused(dataset, tmp_path):
