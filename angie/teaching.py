@@ -16,7 +16,17 @@ from data_prep.dataset import Clip, Dataset
 from data_prep.errors import BadInput
 from data_prep.files import check_apart, check_output, whole_file
 from data_prep.progress import progress
-from data_prep.speaker.people import EARS, ELBOWS, MOUTH, NOSE, SHOULDERS, WRISTS, People, Pose
+from data_prep.speaker.people import (
+    EARS,
+    ELBOWS,
+    MOUTH,
+    NOSE,
+    SEEN,
+    SHOULDERS,
+    WRISTS,
+    People,
+    Pose,
+)
 from mraa.renderer import Renderer
 from mraa.training.renderer import load_initial
 from mraa.training.run import RunConfig
@@ -32,6 +42,9 @@ of 21 avatars, whose true joints are known; 9 and 6 pixels off where a face has 
 NECK = -0.04
 """The pit of the neck on the line from the middle of the shoulders to the mouth; likewise, 9 pixels
 off."""
+
+KNUCKLE = 9
+"""Point of a hand."""
 
 LEAST = 0.3
 """Visibility below which a joint is not learnt from."""
@@ -75,16 +88,25 @@ def seen_in(people: People, dataset: Dataset, clip: Clip) -> Marks | None:
     store, rows = dataset.frames(clip), []
     people.forget()
     for number in range(0, len(store), STRIDE):
-        pose = people.pose(enlarged(store[number]))
+        large = enlarged(store[number])
+        pose = people.pose(large)
         if pose is None:
             continue
-        hands = np.stack([people.hand_centre(pose.points, side) for side in (0, 1)])
+        hands = np.stack([_hand(people, large, pose, side) for side in (0, 1)])
         points, sure = joints_of(pose, hands)
         rows.append((number, (points + 0.5) / TWICE - 0.5, sure))
     if not rows:
         return None
     numbers, points, sure = zip(*rows, strict=True)
     return Marks(np.array(numbers), np.stack(points), np.stack(sure))
+
+
+def _hand(people: People, large: NDArray, pose: Pose, side: int) -> NDArray:
+    """Middle (x, y) of a hand: the middle finger's knuckle, or what the pose says of a lost one."""
+    square = people.hand_squares(pose)[side]
+    hand = None if square is None else people.hand(large, square)
+    seen = hand is not None and hand.score > SEEN
+    return hand.points[KNUCKLE] if hand and seen else people.hand_centre(pose.points, side)
 
 
 def marks_by_networks(dataset: Dataset, models: Path) -> dict[str, Marks]:
