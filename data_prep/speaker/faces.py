@@ -185,19 +185,24 @@ def find_faces(
     return profiles
 
 
-def newcomers(image: np.ndarray, known: Sequence[Face], side: int) -> bool:
+def newcomers(
+    image: np.ndarray, known: Sequence[Face], side: int, detector: Detector | None = None
+) -> bool:
     """Whether the whole picture may show another face than those known; a quarter of a search.
 
     Args:
         image: `(H, W)` uint8 grey.
         known: faces, in its pixels.
-        side: pixels of the long side at which it is searched.
+        side: pixels of the long side at which it is searched by the first cascade.
+        detector: used in place of the cascade.
     """
-    scale = min(side / max(image.shape), 1.0)
-    grey = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    hits = [
-        face.scaled(1 / scale) for face, n in _hits(grey, _FRONTAL[0], _SMALLEST) if n >= _AGAIN
-    ]
+    if detector is not None:
+        hits = detector(image)
+    else:
+        scale = min(side / max(image.shape), 1.0)
+        grey = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        found = _hits(grey, _FRONTAL[0], _SMALLEST)
+        hits = [face.scaled(1 / scale) for face, n in found if n >= _AGAIN]
     return not all(any(_same(hit, one) or _on_body(hit, one) for one in known) for hit in hits)
 
 

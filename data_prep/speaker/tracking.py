@@ -86,7 +86,7 @@ class FaceFollower:
             self._wait, self._next_whole, self._fresh = _SOON, frame, True
         if frame >= self._next_whole:
             faces = [face for face, _ in self._known]
-            if self._detector is None and faces and not newcomers(grey, faces, _SIDES[0]):
+            if faces and not newcomers(grey, faces, _SIDES[0], self._detector):
                 self._look_again(grey, frame)
                 self._next_whole = frame + (WHOLE_STEP if self._known else NEAR_STEP)
             else:
