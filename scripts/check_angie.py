@@ -22,9 +22,10 @@ calm      10 s of a test clip's speech and 10 s of digital silence in one record
           speech, mean over speakers, clips and three seeds. `silence alone` takes 10 s of silence
           without speech before it; `real` is the same ratio of the recorded motion, pauses of a
           second or more (without their first half second) against the rest.
-long      The test sound of one speaker, joined up to 10 minutes, in one run: the largest excess of
-          a channel of the shift over the training range (displacement from the speaker's rest) in
-          units of its width; the peak memory of a process that does that and of one that makes a
+long      The test sound of one speaker and then of the others, joined up to 10 minutes and repeated
+          only where there is less, gestured by the one in one run: the largest excess of a channel
+          of the shift over the training range (displacement from the speaker's rest) in units of
+          its width; the peak memory of a process that does that and of one that makes a
           minute, and how much of it came on top of the sound and its features; and the seams. At
           the borders of the GPT's windows, and of the decoder's and the refiner's, speed and its
           change must be distributed as at the other borders of tokens: two-sample
@@ -251,6 +252,8 @@ def borders(generator: AngieGenerator, frames: int) -> dict[str, NDArray]:
     kept = generator.config.window.kept(block)
     last = frames // FRAMES_PER_TOKEN
     steps_of = np.arange(block + 1, last, block - kept + 1) if kept < block else np.zeros(0, int)
+    if blend == "ahead":  # windows begin with every token, and there is nothing to compare with
+        return {"gpt": steps_of * FRAMES_PER_TOKEN}
     hop = HOP_TOKENS[blend] * FRAMES_PER_TOKEN
     first = 3 * hop // 2 if blend == "linear" else WINDOW
     return {"gpt": steps_of * FRAMES_PER_TOKEN, "refiner": np.arange(first, frames - WINDOW, hop)}
@@ -270,7 +273,8 @@ def generate_long(
     torch.set_num_threads(1)
     data, opened = Dataset(dataset), Bundle.open(bundle)
     motions = opened.train / "motion"
-    clips = [clip for clip in read_clips(data, motions, "test") if clip.name in names]
+    known = {clip.name: clip for clip in read_clips(data, motions, "test")}
+    clips = [known[name] for name in names]
     speech = long_sound(data, clips, minutes, later)
     frames = round(minutes * 60 * FPS)
     before = resident("VmHWM")
@@ -297,12 +301,12 @@ def long(
 ) -> dict[str, Any]:  # fmt: skip
     """Range, memory and seams of one long run."""
     statistics, speaker = generator.statistics, test[0].speaker
-    own = [clip for clip in test if clip.speaker == speaker]
+    ordered = sorted(test, key=lambda clip: clip.speaker != speaker)  # the speaker's own first
     lengths = [(1.0, 0), *((minutes, later) for later in range(RUNS))]
     with TemporaryDirectory() as folder, get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
         files = [Path(folder) / f"{i}.npy" for i in range(len(lengths))]
         jobs = [
-            (data.path, bundle, [clip.name for clip in own], *length, file)
+            (data.path, bundle, [clip.name for clip in ordered], *length, file)
             for length, file in zip(lengths, files, strict=True)
         ]
         peak = pool.starmap(generate_long, jobs, chunksize=1)[:2]
@@ -317,6 +321,7 @@ def long(
     moved = speed(motion, statistics)
     result: dict[str, Any] = {
         "frames": motion.frames,
+        "seconds before the sound repeats": sum(c.motion.frames for c in test) / FPS,
         "excess_shift": float(over[:split].max()),
         "excess_cholesky": float(over[split:].max()),
         "within": bool(over[:split].max() <= WIDER),
