@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from angie.config import Preset
@@ -18,6 +18,7 @@ from angie.generators import DEFAULT, family
 from angie.generators.base import Family
 from angie.generators.stages import Stage, plain
 from data_prep.errors import BadInput
+from data_prep.tensors import open_tensors
 
 if TYPE_CHECKING:
     from angie.bundle import Bundle
@@ -118,7 +119,7 @@ def hash_of_regions(path: Path) -> str:
     """
     found = hashlib.sha256()
     try:
-        with safe_open(path, "numpy") as file:
+        with open_tensors(path, "numpy") as file:
             for name in sorted(key for key in file.keys() if key.startswith("estimator.")):
                 value = file.get_tensor(name)
                 kind = np.float32 if value.dtype.kind == "f" else np.int64

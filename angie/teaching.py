@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors.torch import save_file
 
 from angie.config import Preset
 from angie.evaluation.people import TWICE, enlarged
@@ -27,6 +26,7 @@ from data_prep.speaker.people import (
     People,
     Pose,
 )
+from data_prep.tensors import save_tensors
 from mraa.renderer import Renderer
 from mraa.training.renderer import load_initial
 from mraa.training.run import RunConfig
@@ -190,5 +190,5 @@ def teach_dataset(
     run = replace(run_config or RunConfig(), identity=identity)
     teach(renderer, pairs, folder, how, seed=seed, run_config=run, resume=resume)
     with whole_file(output, force=force) as part:
-        save_file({k: v.contiguous() for k, v in renderer.state_dict().items()}, part)
+        save_tensors(part, {k: v.contiguous() for k, v in renderer.state_dict().items()})
     return len(pairs)

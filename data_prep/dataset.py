@@ -99,7 +99,8 @@ class FrameStore:
             raise IndexError(f"frame {index} of {len(self)}")
         index %= len(self)
         data = self._jpeg[int(self._offset[index]) : int(self._offset[index + 1])]
-        frame = cv2.imdecode(np.asarray(data), cv2.IMREAD_COLOR)
+        whole = bytes(data[-2:]) == b"\xff\xd9"  # else libjpeg writes to standard error
+        frame = cv2.imdecode(np.asarray(data), cv2.IMREAD_COLOR) if whole else None
         if frame is None:
             raise BadInput(f"{self.path}: frame {index} is damaged; prepare the dataset again")
         return cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
@@ -204,7 +205,7 @@ class Dataset:
                 f"{path}: is not a dataset ({Path(str(error.filename)).name}: {error.strerror}); "
                 "make one with angie prepare"
             ) from error
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             what = "the dataset is damaged; prepare it again with --force"
             raise BadInput(f"{path}: {what}") from error
         if version > FORMAT:

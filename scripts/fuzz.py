@@ -93,7 +93,12 @@ class Fuzzer:
         child = os.fork()
         if child == 0:
             os.close(out)
-            self._work(cases, into)
+            try:
+                self._work(cases, into)
+            except BaseException:
+                (self.folder / "bug").write_text(traceback.format_exc())
+            finally:
+                os._exit(3)  # never on as if it were the parent
         os.close(into)
         left, number = b"", cases.start
         with open(out, "rb", buffering=0) as pipe:
@@ -104,7 +109,10 @@ class Fuzzer:
                     os.kill(child, signal.SIGKILL)
                     _, status = os.waitpid(child, 0)
                     kind = "crash" if ready else "hang"
-                    yield Outcome(number, kind, f"signal {status & 127}, status {status >> 8}")
+                    text = f"{self.name_of(number)}: signal {status & 127}, status {status >> 8}"
+                    if (self.folder / "bug").exists():
+                        text += (self.folder / "bug").read_text()[-1500:]
+                    yield Outcome(number, kind, text)
                     return
                 *lines, left = (left + part).split(b"\n")
                 for line in lines:

@@ -121,7 +121,8 @@ def of_arrays(data: bytes, rng: np.random.Generator) -> bytes:
             values = values.copy()
             values.flat[int(rng.integers(values.size))] = rng.choice([np.nan, np.inf, -1e38, 1e300])
         case 1:
-            values = values.astype(rng.choice(["S3", "U2", "?", "c16", "i1", "f2"]), copy=True)
+            kind = str(rng.choice(["S3", "U2", "?", "c16", "i1", "f2"]))
+            values = np.ones(values.shape, kind)
         case 2:
             values = values[..., None]
         case 3:

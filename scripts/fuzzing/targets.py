@@ -178,7 +178,6 @@ def heavy() -> dict[str, Target]:
 
     from angie.bundle import BUNDLE, Bundle
     from angie.config import override, parse_overrides, preset
-    from angie.evaluation.space import _joints_of
     from angie.metrics.autoencoder import (
         MotionAutoencoder,
         MotionScale,
@@ -187,7 +186,6 @@ def heavy() -> dict[str, Target]:
     )
     from angie.motion.keypoints import KeypointDataset
     from angie.motion.statistics import MotionStatistics
-    from data_prep.dataset import Clip
     from data_prep.tensors import save_tensors
     from mraa.motion import Motion, read_motion, write_motion
     from mraa.released import read_checkpoint
@@ -269,14 +267,6 @@ def heavy() -> dict[str, Target]:
         data.check_sound()
         data.motion_clips("train")
 
-    def truth(folder: Path) -> list[Path]:
-        np.savez(folder / "a.npz", joints=np.zeros((20, 5, 2)))
-        return [folder / "a.npz"]
-
-    def read_truth(folder: Path) -> None:
-        source = {"spans": [], "crop": {"x": 0, "y": 0, "size": 64}}
-        _joints_of(folder / "a.npz", Clip("a", "ann", "test", "a", 0.0, 10), source)
-
     def autoencoder(folder: Path) -> list[Path]:
         scale = MotionScale(("ann",), np.zeros((1, 4)), np.ones(4))
         save_autoencoder(folder / "a.safetensors", MotionAutoencoder(4, 16), scale, "x", 25.0)
@@ -295,6 +285,5 @@ def heavy() -> dict[str, Target]:
         "released checkpoint": Target(pth, read_pth, False),
         "training checkpoint": Target(checkpoint, lambda f: Checkpoint(f / "a.safetensors"), False),
         "joints": Target(joints, read_joints, False),
-        "truth": Target(truth, read_truth, False),
         "autoencoder": Target(autoencoder, lambda f: load_autoencoder(f / "a.safetensors"), False),
     }
