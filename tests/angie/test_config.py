@@ -71,7 +71,7 @@ MRAA = {  # CVPR 2021 and its configuration for 256x256
     ),
     "train_renderer.augmentation": dict(
         time_flip=0.5, horizontal_flip=0.5, brightness=0.1, contrast=0.1, saturation=0.1, hue=0.1,
-        zoom=0.0,
+        zoom=0.0, background=0.0,
     ),
     "train_avd": dict(repeats=150, scale=0.25, with_all=False),
     "train_avd.schedule": dict(
