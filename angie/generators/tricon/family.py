@@ -69,12 +69,12 @@ def fit(settings: TriConSettings, points: int, without_extent: bool) -> TriConSe
 
 def _model(**changes: Any) -> Variant:
     """Another model."""
-    return Variant(lambda s: replace(s, model=replace(s.model, **changes)))
+    return Variant(lambda s: replace(s, model=replace(s.model, **changes)), several=True)
 
 
 def _train(**changes: Any) -> Variant:
     """The whole model, trained in another way."""
-    return Variant(lambda s: replace(s, train=replace(s.train, **changes)))
+    return Variant(lambda s: replace(s, train=replace(s.train, **changes)), several=True)
 
 
 def _sizes(settings: TriConSettings) -> Mapping[str, Any]:
