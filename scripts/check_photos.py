@@ -13,6 +13,8 @@ first seconds are looked at, at twice the size, once for each amplitude:
     face    likeness of the face to the photo's (`angie.evaluation.definitions`), 0 for a lost one
     motion  mean distance of the wrists from where they are in the photo, in shoulder widths
 
+    learnt  whether the photo is unlike the people that the model has learnt (`--amplitude`'s note)
+
 Photos without a person, or that `angie animate` refuses, are named and left out. The last line of
 each amplitude pools all hands and all faces. With --sheets a picture of the photo and its 12 frames
 is written for every photo and amplitude.
@@ -126,7 +128,7 @@ def main() -> None:
     last = min(speech.frames, round(given.seconds * FPS)) - 1
     numbers = np.linspace(0, last, SHOWN + 1)[1:].astype(int)
     pooled = {amplitude: Row() for amplitude in given.amplitude}
-    print("| photo | amplitude | hands | face | motion |\n" + "|---" * 5 + "|")
+    print("| photo | amplitude | hands | face | motion | learnt |\n" + "|---" * 6 + "|")
     for path in paths:
         view = View(person="largest")
         for amplitude, whole in pooled.items():
@@ -149,7 +151,8 @@ def main() -> None:
             row = look(judge, photo, drawn)
             for name, values in vars(row).items():
                 getattr(whole, name).extend(values)
-            print(f"| {path.stem} | {amplitude:g} | {row} | {video.note}", flush=True)
+            unlike = "unlike" if "unlike" in video.note else ""
+            print(f"| {path.stem} | {amplitude:g} | {row} | {unlike} |", flush=True)
             if given.sheets:
                 given.sheets.mkdir(exist_ok=True)
                 cells = [photo, *drawn, np.zeros_like(photo)]
@@ -159,7 +162,7 @@ def main() -> None:
                 name = f"{path.stem}-{amplitude:g}.png"
                 cv2.imwrite(str(given.sheets / name), np.ascontiguousarray(sheet))
     for amplitude, whole in pooled.items():
-        print(f"| **all** | {amplitude:g} | {whole} |")
+        print(f"| **all** | {amplitude:g} | {whole} | |")
 
 
 if __name__ == "__main__":
