@@ -308,7 +308,7 @@ def train_generator(context: StageContext) -> Trained:
             run.keep_best(held_out_distance(model, judge, held, rows), training.patience)
         run.log(**losses, **scalars)
     run.restore_best()
-    report: dict[str, Any] = {"windows": items, "weights": numbers_of(model)}
+    report: dict[str, Any] = {"windows": items, "weights": numbers_of(model), "steps": run.step}
     if judge is not None:
         report["fgd"] = round(run.best.score, 4)
         report["fgd_still"] = round(still_distance(judge, held), 4)
