@@ -226,6 +226,12 @@ def undisturbed(work: Path, wanted: dict[str, Job]) -> dict[str, tuple[dict[str,
     return results
 
 
+def different(found: dict[str, str], truth: dict[str, str]) -> str:
+    """Names of what is not the same."""
+    names = sorted(found.keys() | truth.keys())
+    return ", ".join(name for name in names if found.get(name) != truth.get(name))
+
+
 def until_done(job: Job, folder: Path) -> Ended:
     """Repeat a command that was disturbed, until it ends by itself."""
     begun = (folder / job.output).exists()
@@ -250,8 +256,8 @@ def killed(
     ended = until_done(job, folder)
     if ended.status:
         return f"after {moment:.2f} s: status {ended.status}: {ended.lines[-3:]}"
-    if job.result(folder / job.output) != truth:
-        return f"after {moment:.2f} s: another result"
+    if other := different(job.result(folder / job.output), truth):
+        return f"after {moment:.2f} s: another result ({other})"
     left = [path.name for path in folder.iterdir() if path.name != job.output]
     return f"after {moment:.2f} s: left behind {left}" if left else ""
 
