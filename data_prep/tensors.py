@@ -1,5 +1,6 @@
 """Safetensors files, written as any other file is: errors are the system's, so is the mode."""
 
+import json
 import os
 import re
 from collections.abc import Mapping
@@ -39,7 +40,21 @@ def save_tensors(
             raise
         code = int(number[1])
         raise OSError(code, os.strerror(code), str(path)) from error
+    if notes is not None and len(notes) > 1:
+        _sort_notes(path)
     path.chmod(mode)
+
+
+def _sort_notes(path: Path) -> None:
+    """Put the notes of a file in order: the library's order is another in every process."""
+    with path.open("r+b") as file:
+        size = int.from_bytes(file.read(8), "little")
+        header = json.loads(file.read(size))
+        header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+        text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode()
+        if len(text) <= size:
+            file.seek(8)
+            file.write(text.ljust(size))
 
 
 def open_tensors(path: Path, framework: str = "pt") -> Any:
