@@ -18,6 +18,10 @@ class BadInput(Exception):
     """
 
 
+class Cancelled(Exception):
+    """Work was stopped because nobody wants it any more; see `data_prep.progress.listening`."""
+
+
 class Note(UserWarning):
     """What was odd about an input that is used all the same, and what was done; one line."""
 

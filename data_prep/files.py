@@ -110,6 +110,18 @@ def whole_folder(path: Path, *, mark: str, force: bool = False) -> Iterator[Path
         shutil.rmtree(part, ignore_errors=True)
 
 
+def want_file(path: Path, what: str) -> None:
+    """Refuse a path that is no file; `what` it should be is told.
+
+    Raises:
+        BadInput: missing, or a folder.
+    """
+    if not path.exists():
+        raise BadInput(f"{path}: no such file; give the {what}")
+    if path.is_dir():
+        raise BadInput(f"{path}: is a folder; give the {what}")
+
+
 def check_apart(output: Path, inputs: Iterable[Path]) -> None:
     """Refuse an output that is, holds or lies in the place of one of the inputs.
 

@@ -12,16 +12,69 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
 from multiprocessing import resource_tracker
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Task as RichTask
 from rich.text import Text
 
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
 console = Console(stderr=True)
 """Messages to the person; standard output carries results only."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """How far a piece of work is.
+
+    Attributes:
+        label: what is being done, such as "render".
+        done: units that are done.
+        total: units of the whole work, None when unknown.
+        unit: name of one unit.
+        picture: the last one drawn, (H, W, 3) uint8 RGB, where pictures are drawn.
+    """
+
+    label: str
+    done: float
+    total: float | None
+    unit: str = "steps"
+    picture: "NDArray | None" = None
+
+
+Listener = Callable[[Step], None]
+"""What is told how far work is; it may raise `data_prep.errors.Cancelled` to stop it."""
+
+_listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
+
+
+@contextmanager
+def listening(listener: Listener | None) -> Iterator[None]:
+    """Tell `listener` of all work in the block, in this thread; None leaves it as it is.
+
+    What the listener raises ends the work where it stands; nothing is left half-written.
+    """
+    if listener is None:
+        yield
+        return
+    token = _listener.set(listener)
+    try:
+        yield
+    finally:
+        _listener.reset(token)
+
+
+def tell(step: Step) -> None:
+    """Tell whoever listens how far work is."""
+    listener = _listener.get()
+    if listener is not None:
+        listener(step)
 
 
 class _Rate(ProgressColumn):
@@ -47,7 +100,8 @@ def progress(
         done: units done before (a resumed run).
 
     Yields:
-        `advance(amount=1, note="")`: moves the bar; `note` is shown at its end.
+        `advance(amount=1, note="", picture=None)`: moves the bar; `note` is shown at its end, and
+        who is `listening` is told, with the picture.
     """
     columns = (
         TextColumn("{task.description}"),
@@ -61,11 +115,17 @@ def progress(
         task = bar.add_task(label, total=total, note="")
         bar.update(task, completed=done)
 
-        def advance(amount: float = 1, note: str = "") -> None:
+        reached = done
+
+        def advance(amount: float = 1, note: str = "", picture: "NDArray | None" = None) -> None:
+            nonlocal reached
+            reached += amount
             bar.update(task, advance=amount)
             if note:
                 bar.update(task, note=note)
+            tell(Step(label, reached, total, unit, picture))
 
+        tell(Step(label, done, total, unit))
         yield advance
 
 

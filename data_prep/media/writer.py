@@ -1,4 +1,4 @@
-"""Videos written with their sound as the frames come (mp4, H.264, AAC), in a thread or not."""
+"""Videos written with their sound as the frames come (mp4 or webm), in a thread or not."""
 
 import contextlib
 import itertools
@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from fractions import Fraction
 from pathlib import Path
+from typing import cast
 
 import av
 import av.error
@@ -16,11 +17,11 @@ from av.audio.frame import AudioFrame
 from av.audio.stream import AudioStream
 from av.video.frame import VideoFrame
 from av.video.reformatter import VideoReformatter
+from av.video.stream import VideoStream
 
 from data_prep.media.audio import open_recording
+from data_prep.media.formats import MP4, Codecs, FrameWriter
 from data_prep.rates import FPS
-
-_AAC_RATES = (8000, 11025, 12000, 16000, 22050, 24000, 32000, 44100, 48000, 64000, 88200, 96000)
 
 _AAC_BITS = 6144
 """Most bits that one AAC frame may take for a channel (ISO/IEC 14496-3)."""
@@ -28,9 +29,6 @@ _AAC_BITS = 6144
 _AAC_FRAME = 1024
 _AAC_BIT_RATE = 192_000
 _BLOCK = 16384
-
-_PRESET = "veryfast"
-"""Of x264: about 200 frames of 256x256 a second on one core, at half the size of "superfast"."""
 
 _BT709, _LIMITED_RANGE = 1, 1
 
@@ -41,7 +39,7 @@ _TAGS = {
 
 
 class VideoWriter:
-    """Writes an mp4 frame by frame: H.264 yuv420p, AAC, faststart; a context manager.
+    """Writes an mp4 (H.264 yuv420p, AAC, faststart) or a webm frame by frame; a context manager.
 
     The recording is decoded and encoded while the frames come, at its own rate, and whole:
     from its first sample at time 0 to its last. Frame k is shown from k / fps; for a picture
@@ -62,22 +60,26 @@ class VideoWriter:
         threads: int = 0,
         origin: float | None = None,
         fit: bool = False,
+        description: str = "",
+        codecs: Codecs = MP4,
     ) -> None:
         """Open the file.
 
         Args:
-            path: the mp4 to write.
+            path: the file to write.
             size: width and height in pixels, both even.
             fps: frames a second.
             sound: a recording (or a video, for its sound); or samples `(N,)` or `(N, 2)` float
                 in [-1, 1] and their rate; or None for a silent video.
             comment: metadata of the file; marks generated video as such.
-            crf: x264's quality, lower is better; 18 is visually without loss.
+            crf: quality, lower is better; of x264, 18 is visually without loss.
             threads: of the picture's encoder, 0 for as many as it likes.
             origin: presentation time in the recording's file that time 0 of this video has (the
                 start of that file's pictures, for sound in step with them); None for the
                 sound's own first sample.
             fit: end the sound with the picture: cut (then `cut` is set) or padded with silence.
+            description: more metadata of the file, of any length.
+            codecs: of the format, see `data_prep.media.formats`.
 
         Raises:
             BadInput: the recording cannot be read (see `read_sound`).
@@ -87,7 +89,7 @@ class VideoWriter:
         if width % 2 or height % 2 or min(size) < 2:
             raise ValueError(f"size {size} must be even for yuv420p")
         self._shape = (height, width, 3)
-        self._fps = fps
+        self._fps, self._codecs = fps, codecs
         self._count = 0
         self._fit = fit
         self._rest: np.ndarray | None = None
@@ -96,15 +98,19 @@ class VideoWriter:
         self._open = contextlib.ExitStack()
         try:
             rate, channels, self._blocks = self._open_sound(sound, origin)
-            options = {"movflags": "+faststart"}
+            options = dict(codecs.options)
             # A name alone may hold a colon, and what is before it would be taken for a protocol.
-            self._container = av.open(f"file:{path}", mode="w", format="mp4", options=options)
+            self._container = av.open(
+                f"file:{path}", mode="w", format=codecs.container, options=options
+            )
             self._open.callback(self._container.close)
             if comment:
                 self._container.metadata["comment"] = comment
-            self._video = self._container.add_stream(
-                "libx264", rate=fps, options={"crf": str(crf), "preset": _PRESET, **_TAGS}
-            )
+            if description:
+                self._container.metadata["description"] = description
+            options = {"crf": str(crf), **codecs.picture_options, **_TAGS}
+            stream = self._container.add_stream(codecs.picture, rate=fps, options=options)
+            self._video = cast(VideoStream, stream)
             self._video.width, self._video.height = width, height
             self._video.pix_fmt = "yuv420p"
             self._video.codec_context.thread_count = threads
@@ -117,7 +123,7 @@ class VideoWriter:
     def _open_sound(
         self, sound: Path | tuple[np.ndarray, int] | None, origin: float | None
     ) -> tuple[int, int, Iterator[np.ndarray]]:
-        """Rate that AAC can carry, channels, and the blocks `(channels, n)` at that rate."""
+        """Rate that the format can carry, channels, and the blocks `(channels, n)` at that rate."""
         if sound is None:
             return 0, 0, iter(())
         if isinstance(sound, tuple):
@@ -131,13 +137,14 @@ class VideoWriter:
             rate, channels, blocks = recording.rate, recording.channels, recording.blocks()
             lead = 0 if origin is None else round((recording.start - origin) * rate)
             blocks = _led(blocks, lead, channels)
-        target = min((r for r in _AAC_RATES if r >= rate), default=_AAC_RATES[-1])
+        rates = self._codecs.rates
+        target = min((r for r in rates if r >= rate), default=rates[-1])
         return target, channels, blocks if target == rate else _resampled(blocks, rate, target)
 
     def _add_audio(self, rate: int, channels: int) -> AudioStream:
-        stream = self._container.add_stream(
-            "aac", rate=rate, layout="mono" if channels == 1 else "stereo"
-        )
+        layout = "mono" if channels == 1 else "stereo"
+        added = self._container.add_stream(self._codecs.sound, rate=rate, layout=layout)
+        stream = cast(AudioStream, added)
         most = _AAC_BITS * channels * rate // _AAC_FRAME
         stream.codec_context.bit_rate = min(_AAC_BIT_RATE, int(0.9 * most))
         return stream
@@ -260,17 +267,17 @@ def _resampled(blocks: Iterator[np.ndarray], rate: int, target: int) -> Iterator
 
 
 class WriteThread:
-    """Hands frames to a `VideoWriter` in a thread of its own; a context manager.
+    """Hands frames to a writer in a thread of its own; a context manager.
 
     At most `held` batches wait, so that memory is bounded and a slow encoder slows the caller.
     FFmpeg lets Python go on while it converts and encodes. Leave this block before the writer's.
 
     Args:
-        video: an open writer, not used elsewhere meanwhile.
+        video: an open writer of any format, not used elsewhere meanwhile.
         held: most batches that wait.
     """
 
-    def __init__(self, video: VideoWriter, held: int = 4) -> None:
+    def __init__(self, video: FrameWriter, held: int = 4) -> None:
         self._video, self._held = video, held
         self._pool = ThreadPoolExecutor(1, "encoder")
         self._waiting: deque[Future[None]] = deque()

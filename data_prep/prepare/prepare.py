@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from data_prep.cluster import spread_on_ray
 from data_prep.dataset import FORMAT, MANIFEST, TABLE, Dataset, write_table
 from data_prep.errors import BadInput
 from data_prep.files import check_apart, sha256
@@ -59,6 +60,7 @@ def prepare(
     pats: Path | None = None,
     add: bool = False,
     force: bool = False,
+    ray: str | None = None,
 ) -> Summary:
     """Turn videos of speakers into a dataset of square clips with sound and features.
 
@@ -80,6 +82,7 @@ def prepare(
         pats: table of intervals of the PATS dataset; only these are cut.
         add: keep what a dataset at `output` holds, and make only what is new or has changed.
         force: replace an existing dataset.
+        ray: address of a cluster that makes the clips (`data_prep.cluster`), in place of `jobs`.
 
     Raises:
         BadInput: no such video, an output that cannot be written or that holds what this call
@@ -110,7 +113,7 @@ def prepare(
         _check_same(output, present, orders)
     with workplace(output, replace=there) as place:
         place.settle(wanted, None if dataset is None else output)
-        done_before = _make(orders, place, jobs)
+        done_before = _make(orders, place, jobs, ray)
         records = [place.records[name] for name in sorted(place.records)]
         if not any(record.clips for record in records):
             raise BadInput(_nothing_kept(records))
@@ -130,12 +133,15 @@ def prepare(
     return summary
 
 
-def _make(orders: list[Order], place: Workplace, jobs: int) -> int:
+def _make(orders: list[Order], place: Workplace, jobs: int, ray: str | None) -> int:
     """Make the sources that no earlier run has made; the number of those that it had."""
     todo = [order for order in orders if order.source.name not in place.records]
     done = len(orders) - len(todo)
     with progress("prepare", len(orders), "videos", done) as advance:
-        for order, record in spread(make_source, todo, jobs):
+        made = spread(make_source, todo, jobs)
+        if ray is not None and todo:
+            made = spread_on_ray(make_source, todo, ray)
+        for order, record in made:
             place.put(record or died(order))
             advance(1, note=order.source.name)
     return done
