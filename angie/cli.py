@@ -16,9 +16,14 @@ os.environ.update({"OMP_WAIT_POLICY": "PASSIVE", "GOMP_SPINCOUNT": "10000", **os
 import typer  # noqa: E402
 
 from angie import __version__
-from angie.commands.animate import ablate, animate, codebook, demo, gestures
+from angie.commands.animate import animate, demo
+from angie.commands.doctor import doctor
 from angie.commands.evaluate import evaluate
+from angie.commands.motion import ablate, codebook, gestures
+from angie.commands.origin import verify
 from angie.commands.prepare import phantom, prepare
+from angie.commands.serve import app as page
+from angie.commands.serve import serve
 from angie.commands.study import study
 from angie.commands.train import import_mraa, info, teach, train
 from data_prep.errors import BadInput, Note
@@ -53,7 +58,6 @@ def _interrupt(*_: object) -> None:
 
 app = typer.Typer(
     help="One photo of a speaker and a speech recording in, a video of that person gesturing out.",
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -72,8 +76,12 @@ for command in (
     gestures,
     codebook,
     info,
+    verify,
+    doctor,
+    serve,
 ):
     app.command()(command)
+app.command("app")(page)
 
 
 @app.callback(invoke_without_command=True)

@@ -9,8 +9,9 @@ import torch
 from numpy.typing import NDArray
 
 from angie import __version__
-from angie.pipeline import GesturePipeline, GestureVideo
+from angie.pipeline import GesturePipeline
 from angie.source import Photo, View
+from angie.video import GestureVideo
 from data_prep.errors import check_choice
 from data_prep.media.video import VideoInfo, probe
 from data_prep.prepare.square import Square, find_square, given_square
@@ -87,6 +88,13 @@ def drive(
         )  # fmt: skip
 
     sound = driving.sound or (video if info.has_sound else None)
+    box = driving.crop
+    settings = {
+        "mode": mode,
+        "drive_crop": None if box is None else f"{box.x},{box.y},{box.size}",
+        "drive_person": driving.person,
+    }
+    given = {"photo": photo, "drive": video} | ({"sound": sound} if driving.sound else {})
     return GestureVideo(
         subject,
         square.frames,
@@ -94,6 +102,7 @@ def drive(
         frames,
         sound,
         comment=COMMENT,
+        record=pipeline.record("drive", settings, subject, view, **given),
         inputs=tuple(path for path in (subject.path, video, driving.sound) if path),
         notes=list(_notes(square)),
         origin=None if driving.sound else info.start,

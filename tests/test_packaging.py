@@ -2,6 +2,7 @@
 
 import ast
 import importlib.metadata
+import json
 import re
 import sys
 import tomllib
@@ -32,8 +33,10 @@ def imported():
 
 def test_dependencies_are_what_is_imported():
     known = importlib.metadata.packages_distributions()
-    providers = {module: {name.lower().replace("_", "-") for name in known.get(module, [])}
-                 for module in imported()}  # fmt: skip
+    providers = {  # of an extra that is not installed here, what is imported is its name
+        module: {name.lower().replace("_", "-") for name in known.get(module, [module])}
+        for module in imported()
+    }
     declared = names(PROJECT["dependencies"])
     extras = names(text for group in PROJECT["optional-dependencies"].values() for text in group)
     undeclared = {m for m, dists in providers.items() if not dists & (declared | extras)}
@@ -43,3 +46,17 @@ def test_dependencies_are_what_is_imported():
 
 def test_every_package_is_typed():
     assert all((ROOT / name / "py.typed").is_file() for name in PACKAGES)
+
+
+def test_the_container_takes_what_there_is():
+    from test_readme import parse_angie
+
+    lines = (ROOT / "Dockerfile").read_text().splitlines()
+    words = [line.split() for line in lines if re.match(r"[A-Z]+ ", line)]
+    copied = [name for line in words if line[0] == "COPY" for name in line[1:-1]]
+    assert all((ROOT / name).exists() for name in copied) and set(PACKAGES) <= set(copied)
+    assert {"pyproject.toml", "README.md", "LICENSE"} <= set(copied)  # the wheel is built of them
+    (command,) = (line for line in lines if line.startswith("CMD "))
+    program, *arguments = json.loads(command.removeprefix("CMD "))
+    assert program == "angie"
+    parse_angie(arguments)

@@ -1,7 +1,4 @@
-"""Commands that make videos: animate, demo.
-
-Commands of the motion side: gestures, codebook, ablate.
-"""
+"""Commands that make videos: animate, demo."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -11,32 +8,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from angie.commands.options import (
+    Consent,
     Device,
-    Fgd,
-    FgdSteps,
     Force,
+    Format,
     FullFrame,
     Generator,
     Greedy,
-    ImageSeconds,
-    ImageStride,
     Models,
-    NoImages,
     Person,
     Precision,
+    Ray,
     Seed,
-    Seeds,
-    Settings,
     Size,
     Style,
     Words,
-    device_of,
-    square_of,
-    want_file,
 )
-from data_prep.errors import BadInput, check_choice, collected_notes, note
+from angie.request import OPTIONS, Pipelines, Request
+from data_prep.errors import BadInput, collected_notes, note
 from data_prep.progress import begin, console
-from data_prep.rates import FPS
 
 if TYPE_CHECKING:
     from data_prep.speaker.crop import Crop
@@ -44,10 +34,12 @@ if TYPE_CHECKING:
 
 
 def animate(
-    photo: Annotated[Path, typer.Argument(help="Any photo of a person.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The mp4 to write.")],
+    photo: Annotated[Path | None, typer.Argument(help="Any photo of a person.")] = None,
     audio: Annotated[
         Path | None, typer.Argument(help="Any recording, or a video with sound.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="The mp4, webm or gif to write.")
     ] = None,
     speaker: Annotated[
         Path | None, typer.Option(help="Speaker bundle; the shipped one by default.")
@@ -68,6 +60,15 @@ def animate(
             min=0, max=2, help="How far the gestures go from the photo's pose; 1 is as made."
         ),
     ] = 1.0,
+    temperature: Annotated[
+        float | None, typer.Option(help="How daring the gestures are, above 0; 1 is as trained.")
+    ] = None,
+    start: Annotated[
+        str, typer.Option(help="Begin with the photo's pose (photo) or a speaker's at rest (rest).")
+    ] = "photo",
+    fade: Annotated[
+        float, typer.Option(min=0, help="Seconds at the end in which the person comes to rest.")
+    ] = 0.0,
     greedy: Greedy = False,
     style: Style = None,
     words: Words = None,
@@ -91,82 +92,118 @@ def animate(
         str | None, typer.Option(help="Which of several people in it: left, right or largest.")
     ] = None,
     models: Models = None,
+    motion: Annotated[
+        Path | None, typer.Option(help="Draw this saved motion; AUDIO only sounds with it.")
+    ] = None,
+    save_motion: Annotated[
+        Path | None, typer.Option(help="Write the motion too, as .npz for --motion.")
+    ] = None,
     track_axes: Annotated[
         bool, typer.Option("--track-axes", help="Follow the regions' axes over time; not in MRAA.")
     ] = False,
+    format: Format = None,
+    preview: Annotated[
+        bool,
+        typer.Option(
+            "--preview",
+            help="Write a sheet in place of the video: frames with regions, onsets and speed.",
+        ),
+    ] = False,
+    consent: Consent = "",
+    jobs: Annotated[
+        Path | None,
+        typer.Option(
+            help="A .csv of videos to make: columns photo, audio, output and any option by name."
+        ),
+    ] = None,
+    ray: Ray = None,
     force: Force = False,
 ) -> None:
-    """Make the person of a photo gesture to a recording, or as in a driving video."""
-    from angie.generators import DEFAULT
-    from data_prep.files import check_apart, check_mp4, check_output
+    """Make the person of a photo gesture to a recording, or as in a driving video.
 
-    check_output(output, force=force)
-    check_mp4(output)
-    want_file(photo, "photo")
-    if audio is not None:
-        want_file(audio, "recording")
-    if words is not None:
-        want_file(words, "transcript")
-    check_choice("--scale-motion", scale_motion, ("none", "hull"))
-    given = None if crop is None else square_of(crop)
-    usual = generator in (None, DEFAULT) and words is None
-    heard = begin(_heard, audio) if usual and audio is not None and drive is None else None
-    square = _found(photo, person, models) if given is None else lambda: given
-    look: dict[str, Any] = {
-        "person": person, "models": models, "size": size, "full_frame": full_frame,
-        "track_axes": track_axes,
+    With --jobs many videos are made; repeated, the command goes on where it was stopped.
+    """
+    options: dict[str, Any] = {
+        "speaker": speaker, "generator": generator, "seed": seed, "crop": crop, "person": person,
+        "models": models,
+        "scale_motion": scale_motion, "amplitude": amplitude, "temperature": temperature,
+        "start": start, "fade": fade,
+        "greedy": greedy, "style": style, "words": words, "size": size, "full_frame": full_frame,
+        "drive": drive, "mode": mode, "drive_crop": drive_crop, "drive_person": drive_person,
+        "motion": motion, "track_axes": track_axes, "format": format, "consent": consent,
     }  # fmt: skip
-    inputs = [path for path in (photo, audio, drive, words) if path is not None]
-    check_apart(output, inputs)
-    if drive is not None:
-        want_file(drive, "driving video")
-        sound_only = (style, generator, words)
-        changed = greedy or scale_motion != "none" or amplitude != 1
-        if changed or any(given is not None for given in sound_only):
-            raise BadInput(
-                "--greedy, --style, --words, --scale-motion, --amplitude and --generator are for "
-                "gestures to sound, not for --drive"
-            )
-    elif audio is None:
-        raise BadInput("give a recording to gesture to, or a video to follow with --drive VIDEO")
-    elif mode or drive_crop or drive_person:
-        raise BadInput("--mode, --drive-crop and --drive-person go with --drive VIDEO")
-    from angie.bundle import BUNDLE, Bundle
-    from angie.pipeline import GesturePipeline
-    from angie.source import View
+    if jobs is not None:
+        if photo or audio or output or save_motion or preview:
+            raise BadInput("--jobs: the list names photos, recordings and outputs; give none here")
+        _list_of_jobs(jobs, options, Pipelines(device, precision), force, ray)
+        return
+    if ray is not None:
+        raise BadInput(f"--ray {ray}: is for many videos; give a list with --jobs")
+    if photo is None or output is None:
+        missing = "argument 'PHOTO'" if photo is None else "option '--output' / '-o'"
+        raise BadInput(f"missing {missing} (see angie animate --help)")
+    request = Request(photo, audio, **options)
+    _animate(request, output, Pipelines(device, precision), save_motion, preview, force)
 
-    pipeline = GesturePipeline(
-        Bundle.open(speaker or BUNDLE), generator, device=device_of(device), precision=precision
-    )
-    view = View(crop=square(), **look)
-    if drive is not None:
-        from angie.drive import Driving
-        from angie.drive import drive as from_video
 
-        corner = None if drive_crop is None else square_of(drive_crop, "--drive-crop")
-        driving = Driving(mode, audio, corner, drive_person)
-        result = from_video(pipeline, photo, drive, driving, view)
-    else:
-        assert audio is not None
+def _animate(
+    request: Request,
+    output: Path,
+    pipelines: Pipelines,
+    save_motion: Path | None,
+    preview: bool,
+    force: bool,
+) -> None:
+    """Make one video, or the sheet that stands for it."""
+    from angie.generators import DEFAULT
+    from data_prep.files import check_apart, check_output
+    from data_prep.media.formats import format_of
+
+    outputs = [output, *([save_motion] if save_motion else [])]
+    for path in outputs:
+        check_output(path, force=force)
+    if preview and (output.suffix.lower() != ".png" or request.format is not None):
+        raise BadInput(f"{output}: --preview writes a picture; let its name end in .png")
+    if not preview:
+        format_of(output, request.format)
+    request.check()
+    spoken = request.audio is not None and request.drive is None and request.motion is None
+    usual = request.generator in (None, DEFAULT) and request.words is None
+    heard = begin(_heard, request.audio) if usual and spoken and request.audio else None
+    square = None if request.crop else _found(request.photo, request.person, request.models)
+    for path in outputs:
+        check_apart(path, request.inputs)
+    pipeline = pipelines.of(request)
+    if spoken:
         _ = pipeline.generator, pipeline.renderer  # loaded while the recording is listened to
-        result = pipeline(
-            photo,
-            audio,
-            seed=seed,
-            style=style,
-            greedy=greedy,
-            scale_motion=scale_motion,
-            amplitude=amplitude,
-            view=view,
-            speech=_noted(*heard()) if heard else None,
-            words=words,
-        )
-    result.save(output, force=force)
+    result = request.make(
+        pipeline, crop=square() if square else None, speech=_noted(*heard()) if heard else None
+    )
+    if save_motion is not None:
+        result.save_motion(save_motion, force=force)
+    if preview:
+        from angie.preview import write_sheet
+
+        print(write_sheet(result, pipeline, output, force=force))
+        return
+    result.save(output, force=force, format=request.format, consent=request.consent)
     if result.note:
         console.print(f"angie: {result.note}", highlight=False, markup=False, soft_wrap=True)
     width, height = result.width_height
     sound = f"{result.seconds:.2f} s of sound" if result.seconds else "no sound"
     print(f"{output}: {result.frames} frames of {width}x{height}, {sound}")
+
+
+def _list_of_jobs(
+    jobs: Path, options: dict[str, Any], pipelines: Pipelines, force: bool, ray: str | None
+) -> None:
+    """Make the videos of a list; exit status 1 if some could not be made."""
+    from angie.batch import run
+
+    usual = {name: value for name, value in options.items() if value != OPTIONS[name]}
+    failed = run(jobs, pipelines, usual, force=force, ray=ray)
+    if failed:
+        raise typer.Exit(1)
 
 
 def _heard(audio: Path) -> "tuple[Speech, list[str]]":
@@ -216,157 +253,6 @@ def demo(
     from angie.bundle import PHOTO, SPEECH, WORDS
     from angie.generators import DEFAULT
 
-    animate(
-        PHOTO,
-        output,
-        SPEECH,
-        generator=generator,
-        words=None if generator in (None, DEFAULT) else WORDS,
-        seed=seed,
-        device=device,
-        precision=precision,
-        force=force,
-    )
-
-
-def gestures(
-    bundle: Annotated[Path, typer.Argument(help="Bundle of joints or of regions.")],
-    audio: Annotated[Path, typer.Argument(help="Any recording, or a video with sound.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The .npz or .npy to write.")],
-    start: Annotated[
-        Path | None, typer.Option(help="Motion file whose first frame is the start pose.")
-    ] = None,
-    speaker: Annotated[
-        str | None,
-        typer.Option(
-            help="The training speaker who gestures, the first one if none is named: their rest "
-            "pose to begin with, unless --start gives another; if named, also to return to, and "
-            "in joint models their style."
-        ),
-    ] = None,
-    style: Style = None,
-    words: Words = None,
-    generator: Generator = None,
-    fps: Annotated[float, typer.Option(min=1, max=1000, help="Frames per second of joints.")] = FPS,
-    seed: Seed = 0,
-    greedy: Greedy = False,
-    force: Force = False,
-) -> None:
-    """Write the motion for a recording as arrays: joints (T, J, 2), or regions."""
-    from data_prep.files import check_output
-
-    check_output(output, force=force)
-    want_file(audio, "recording")
-    if start is not None:
-        want_file(start, "motion to begin with")
-    if words is not None:
-        want_file(words, "transcript")
-    from angie.bundle import Bundle
-    from angie.gestures import gestures as make
-    from angie.pipeline import GesturePipeline
-
-    frames = make(
-        GesturePipeline(Bundle.open(bundle), generator, precision="fp32"),
-        audio,
-        output,
-        start=start,
-        speaker=speaker,
-        style=style,
-        words=words,
-        fps=fps,
-        seed=seed,
-        greedy=greedy,
-        force=force,
-    )
-    print(f"{output}: {frames} frames at {fps:g} a second")
-
-
-def codebook(
-    bundle: Annotated[Path, typer.Argument(help="Speaker bundle.")],
-    photos: Annotated[list[Path], typer.Argument(help="Photos of people.")],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="The .png to write, and an .mp4 beside it.")
-    ],
-    codes: Annotated[
-        int, typer.Option(min=1, max=24, help="Number of pairs of codes, one per row.")
-    ] = 6,
-    generator: Generator = None,
-    person: Person = None,
-    force: Force = False,
-) -> None:
-    """Show codes of the motion codebooks on photos, and how much each is used."""
-    for photo in photos:
-        want_file(photo, "photo")
-    from angie.bundle import Bundle
-    from angie.generators import family
-
-    opened = Bundle.open(bundle)
-    found = family(opened.chosen(generator))
-    if found.codes_shown is None:
-        raise BadInput(f"--generator {found.name}: has no codes to show")
-    print(found.codes_shown(opened, photos, output, count=codes, person=person, force=force))
-
-
-def ablate(
-    dataset: Annotated[Path, typer.Argument(help="Folder that angie prepare made.")],
-    bundle: Annotated[
-        Path, typer.Argument(help="Bundle whose renderer and settings all variants share.")
-    ],
-    settings: Settings = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder of bundles, report and table.")
-    ] = None,
-    variants: Annotated[
-        str | None, typer.Option(help="Some of the variants, separated by commas; all by default.")
-    ] = None,
-    generator: Generator = None,
-    seeds: Seeds = 1,
-    trainings: Annotated[
-        int,
-        typer.Option(min=1, help="Seeds to train the variants with that the comparison stands on."),
-    ] = 1,
-    no_images: NoImages = False,
-    image_stride: ImageStride = 25,
-    image_seconds: ImageSeconds = 0.0,
-    fgd: Fgd = None,
-    fgd_steps: FgdSteps = 3000,
-    seed: Seed = 0,
-    device: Device = "auto",
-) -> None:
-    """Train and score the variants of a paper's ablations; repeat it to continue a killed run."""
-    if output is None:
-        raise BadInput("--output: name the folder of the ablations, -o DIR")
-    if fgd is not None:
-        want_file(fgd, "autoencoder of a report")
-    from angie.config import parse_overrides
-    from angie.evaluation.ablation import ablate as run
-    from angie.evaluation.networks import EvaluationConfig
-    from mraa.training.run import RunConfig
-
-    place = device_of(device)
-    chosen = None if variants is None else [name.strip() for name in variants.split(",")]
-    scoring = EvaluationConfig(
-        seeds=seeds,
-        seed=seed,
-        images=not no_images,
-        image_stride=image_stride,
-        image_seconds=image_seconds,
-        videos_shown=0,
-        fgd=fgd,
-        fgd_steps=fgd_steps,
-    )
-    text = run(
-        dataset,
-        bundle,
-        output,
-        variants=chosen,
-        generator=generator,
-        changes=parse_overrides(settings or []),
-        config=scoring,
-        trainings=trainings,
-        seed=seed,
-        run=RunConfig(device=device),
-        device=place,
-    )
-    print(text)
-    print(f"{output}: table3.md, report, a bundle for each row")
+    words = None if generator in (None, DEFAULT) else WORDS
+    request = Request(PHOTO, SPEECH, seed=seed, generator=generator, words=words)
+    _animate(request, output, Pipelines(device, precision), None, False, force)

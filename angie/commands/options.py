@@ -1,15 +1,14 @@
 """What the commands share: options of one meaning everywhere, and reading what was typed."""
 
-import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from data_prep.errors import BadInput
+from angie.request import cores, device_of, square_of
+from data_prep.files import want_file
 
-if TYPE_CHECKING:
-    from data_prep.speaker.crop import Crop
+__all__ = ["cores", "device_of", "square_of", "want_file"]
 
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing output.")]
 Seed = Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of everything random.")]
@@ -35,6 +34,22 @@ Words = Annotated[
 Generator = Annotated[
     str | None,
     typer.Option("--generator", help="Which generator of the bundle; without it angie's."),
+]
+Format = Annotated[
+    str | None,
+    typer.Option(
+        help="mp4, webm, gif (no sound) or frames (a folder of PNG files).",
+        show_default="as the name ends",
+    ),
+]
+Ray = Annotated[
+    str | None,
+    typer.Option(
+        help="Address of a Ray cluster to work on, auto for this machine's, local to begin one."
+    ),
+]
+Consent = Annotated[
+    str, typer.Option(help="How the person of the photo agreed; kept in the video's metadata.")
 ]
 Size = Annotated[
     str | None,
@@ -78,60 +93,3 @@ Models = Annotated[
     typer.Option(help="Folder of MediaPipe's networks; the one for faces finds them faster."),
 ]
 Jobs = Annotated[int, typer.Option(min=0, help="Number of processes; 0 for one per core.")]
-
-
-def want_file(path: Path, what: str) -> None:
-    """Refuse a path that is no file; `what` it should be is told.
-
-    Raises:
-        BadInput: missing, or a folder.
-    """
-    if not path.exists():
-        raise BadInput(f"{path}: no such file; give the {what}")
-    if path.is_dir():
-        raise BadInput(f"{path}: is a folder; give the {what}")
-
-
-def square_of(text: str, option: str = "--crop") -> "Crop":
-    """The square that `--crop` (or another option) names: x,y,size or x,y,w,h with equal sides.
-
-    Raises:
-        BadInput: anything else.
-    """
-    from data_prep.speaker.crop import Crop
-
-    try:
-        x, y, size, *height = (int(part) for part in text.split(","))
-    except ValueError:
-        raise BadInput(f"{option} {text}: give x,y,size in whole pixels") from None
-    if len(height) > 1 or size < 1:
-        raise BadInput(f"{option} {text}: give x,y,size in whole pixels, the size above 0")
-    if height not in ([], [size]):
-        raise BadInput(f"{option} {text}: is not a square; width and height must be equal")
-    return Crop(x, y, size)
-
-
-def device_of(name: str) -> str:
-    """The torch device that `--device` names; "auto" takes the fastest there is.
-
-    Raises:
-        BadInput: unknown, or not on this machine.
-    """
-    import torch
-
-    available = {"cpu": True, "cuda": torch.cuda.is_available()}
-    available["mps"] = torch.backends.mps.is_available()
-    if name == "auto":
-        return next(d for d in ("cuda", "mps", "cpu") if available[d])
-    kind, _, number = name.partition(":")
-    count = torch.cuda.device_count() if kind == "cuda" else 1
-    numbered = not number or (number.isdecimal() and int(number) < count)
-    if not available.get(kind, False) or not numbered:
-        usable = ", ".join(d for d, ok in available.items() if ok)
-        raise BadInput(f"--device {name}: not on this machine; there is {usable}")
-    return name
-
-
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

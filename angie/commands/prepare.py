@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from angie import __version__
-from angie.commands.options import Force, Jobs, Models, Seed, cores, square_of
+from angie.commands.options import Force, Jobs, Models, Ray, Seed, cores, square_of
 from data_prep.errors import BadInput, check_choice
 
 
@@ -89,6 +89,7 @@ def prepare(
     add: Annotated[
         bool, typer.Option("--add", help="Add other videos to the existing dataset.")
     ] = False,
+    ray: Ray = None,
     force: Force = False,
 ) -> None:
     """Cut videos of a speaker into a dataset of clips.
@@ -129,5 +130,6 @@ def prepare(
             pats=pats,
             add=add,
             force=force,
+            ray=ray,
         )
     )

@@ -176,10 +176,16 @@ def import_mraa(
 
 def info(
     bundle: Annotated[
-        Path | None, typer.Argument(help="Speaker bundle; the shipped one by default.")
+        Path | None,
+        typer.Argument(help="Speaker bundle, the shipped one by default; or a video of angie's."),
     ] = None,
 ) -> None:
-    """Show what a speaker bundle contains and what it was trained on."""
+    """Show what a speaker bundle contains and was trained on, or where a video comes from."""
+    from angie.provenance import RECORD, read_origin
+
+    if bundle is not None and (bundle.is_file() or (bundle / RECORD).is_file()):
+        print(read_origin(bundle))
+        return
     from angie.bundle import BUNDLE, Bundle
     from angie.parts import describe
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from angie.evaluation.images import rendered
 from angie.evaluation.rows import Row
 from angie.motion.clips import MotionClip
-from angie.pipeline import COMMENT
+from angie.video import COMMENT
 from data_prep.dataset import Clip, Dataset
 from data_prep.media.video import VideoWriter
 from data_prep.rates import FPS, IMAGE_SIZE, SAMPLE_RATE

@@ -7,7 +7,7 @@ Whatever stands outside a family's own folder knows these classes alone.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 import torch
@@ -265,6 +265,10 @@ def begin_at(motion: Motion, start: Motion, fps: float, seconds: float = 1.0) ->
     return motion.like(torch.cat([start.vector(), made[1:]]))
 
 
+HOTTEST = 5.0
+"""Highest temperature."""
+
+
 @dataclass(frozen=True)
 class Variant:
     """Settings of a row of a paper's table of ablations.
@@ -299,6 +303,8 @@ class Family:
         style_advice: how a model with several styles is trained, for a message.
         variants: of ablations, in the order of the table.
         columns: of that table, beside the scores: shares of the frames of clips.
+        controls: a frozen dataclass of what can be asked of a generator beside the sound, with a
+            default for every field; `temperature` is what `--temperature` sets. None has none.
         report: what `angie info` says of a part, a phrase each, from its report and the settings.
         codes_shown: draws codes on photos, for `angie codebook`: from a bundle, photos and the
             output, with `count`, `person` and `force`; None where a generator has no codes.
@@ -321,6 +327,7 @@ class Family:
     columns: Mapping[str, Callable[[GestureGenerator, Sequence[MotionClip]], float]] = field(
         default_factory=dict
     )
+    controls: type | None = None
     report: Callable[[str, dict[str, Any], Any], list[str]] = lambda stage, report, settings: []
     codes_shown: Callable[..., str] | None = None
     reconstruct: Callable[[GestureGenerator, MotionClip, str | None], Motion] | None = None
@@ -336,3 +343,20 @@ class Family:
     def wanted(self, settings: Any) -> list[Stage]:
         """The stages that there are under these settings."""
         return [stage for stage in self.stages if stage.wanted(settings)]
+
+    def with_temperature(self, controls: Any, temperature: float | None, greedy: bool) -> Any:
+        """Controls of a generator with a temperature among them; None leaves them as they are.
+
+        Raises:
+            BadInput: a temperature that cannot be, or a generator that knows none.
+        """
+        if temperature is None:
+            return controls
+        if not 0 < temperature <= HOTTEST:
+            raise BadInput(f"--temperature {temperature:g}: give a number above 0, at most 5")
+        if greedy:
+            raise BadInput("--greedy and --temperature: give one; the likeliest gesture has none")
+        kind = self.controls
+        if kind is None or "temperature" not in {entry.name for entry in fields(kind)}:
+            raise BadInput(f"--temperature: {self.name} does not draw its gestures by temperature")
+        return replace(kind() if controls is None else controls, temperature=temperature)

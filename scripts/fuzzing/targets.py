@@ -18,6 +18,7 @@ from data_prep.dataset import COLUMNS, Dataset, encode_frame, write_frames
 from data_prep.errors import BadInput
 from data_prep.media.audio import read_sound, write_wav
 from data_prep.media.photo import read_photo
+from data_prep.media.pictures import GifWriter
 from data_prep.media.video import probe, read_frames, read_grey
 from data_prep.media.writer import VideoWriter
 from data_prep.prepare.pats import read_intervals
@@ -176,6 +177,8 @@ def heavy() -> dict[str, Target]:
     """Those whose readers import torch."""
     import torch
 
+    from angie.app.queue import Limits
+    from angie.batch import read_list
     from angie.bundle import BUNDLE, Bundle
     from angie.config import override, parse_overrides, preset
     from angie.metrics.autoencoder import (
@@ -185,7 +188,9 @@ def heavy() -> dict[str, Target]:
         save_autoencoder,
     )
     from angie.motion.keypoints import KeypointDataset
+    from angie.motion.saved import SavedMotion, load_motion, write_saved
     from angie.motion.statistics import MotionStatistics
+    from angie.provenance import manifest, read_origin
     from data_prep.tensors import save_tensors
     from mraa.motion import Motion, read_motion, write_motion
     from mraa.released import read_checkpoint
@@ -272,7 +277,48 @@ def heavy() -> dict[str, Target]:
         save_autoencoder(folder / "a.safetensors", MotionAutoencoder(4, 16), scale, "x", 25.0)
         return [folder / "a.safetensors"]
 
+    def jobs(folder: Path) -> list[Path]:
+        rows = "a.png,b.wav,c.mp4,3,yes\n/a.png,,d.gif,,\n"
+        (folder / "jobs.csv").write_text(f"photo,audio,output,seed,greedy\n{rows}")
+        return [folder / "jobs.csv"]
+
+    def saved(folder: Path) -> list[Path]:
+        pose = Motion(torch.zeros(1, 4, 2), torch.ones(1, 4, 3))
+        moved = Motion(torch.zeros(9, 4, 2), torch.ones(9, 4, 3))
+        write_saved(folder / "a.npz", SavedMotion(moved, pose, "x"))
+        return [folder / "a.npz"]
+
+    def origin(name: str) -> Target:
+        told = json.dumps(manifest({"settings": {"seed": 1}, "inputs": {"photo": _picture()}}, "y"))
+
+        def make(folder: Path) -> list[Path]:
+            path = folder / name
+            if name.endswith(".json"):
+                path.write_text(told)
+                return [path]
+            gif = name.endswith(".gif")
+            kind = GifWriter(path, (64, 48), told) if gif else None
+            with kind or VideoWriter(path, (64, 48), threads=1, description=told) as video:
+                video.write(_picture())
+            return [path]
+
+        read = (
+            read_origin if name.endswith(".json") else (lambda folder: read_origin(folder / name))
+        )
+        return Target(make, read, False)
+
+    def uploads(folder: Path) -> list[Path]:
+        Image.fromarray(_picture()).save(folder / "a.png")
+        soundfile.write(folder / "a.flac", _sound(), 16000)
+        return [folder / "a.png", folder / "a.flac"]
+
     return {
+        "jobs": Target(jobs, lambda f: read_list(f / "jobs.csv"), False),
+        "saved motion": Target(saved, lambda f: load_motion(f / "a.npz"), False),
+        **{f"origin {n}": origin(n) for n in ("a.mp4", "a.gif", "origin.json")},
+        "uploads": Target(
+            uploads, lambda f: Limits(seconds=5).check(f / "a.png", f / "a.flac"), False
+        ),
         "bundle": Target(bundle, read_bundle, False),
         "statistics": Target(
             bundle, lambda f: MotionStatistics.load(f / "statistics.safetensors"), False

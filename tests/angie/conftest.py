@@ -1,17 +1,20 @@
 """Small synthetic clips whose motion follows their sound, and a bundle that is joint."""
 
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from angie.bundle import Bundle
+from angie.bundle import PHOTO, SPEECH, Bundle
 from angie.config import override
 from angie.generators.angie.family import load_gpt
 from angie.generators.angie.gpt import CoSpeechGPT
 from angie.motion.clips import MotionClip
 from angie.motion.statistics import MotionStatistics, measure
+from angie.pipeline import GesturePipeline
+from data_prep.media.audio import read_sound, write_wav
 from data_prep.speech.features import Speech
 from mraa.motion import Motion
 
@@ -94,3 +97,23 @@ def joint_bundle(bundle, tmp_path_factory) -> Bundle:
 def one_process(monkeypatch):
     """Sound is read when it is asked for: what is refused before needs no process for it."""
     monkeypatch.setattr("angie.commands.animate.begin", lambda work, task: lambda: work(task))
+
+
+@pytest.fixture(scope="session")
+def shipped() -> GesturePipeline:
+    """The pipeline of the bundle that ships."""
+    return GesturePipeline.from_pretrained()
+
+
+@pytest.fixture(scope="session")
+def blip(tmp_path_factory) -> Path:
+    """Eight tenths of a second of the speech that ships: 20 frames."""
+    path = tmp_path_factory.mktemp("blip") / "blip.wav"
+    write_wav(path, read_sound(SPEECH)[16_000:28_800], 16_000)
+    return path
+
+
+@pytest.fixture(scope="session")
+def short_video(shipped, blip):
+    """A video of the photo that ships, and of `blip`; not drawn yet."""
+    return shipped(PHOTO, blip, seed=3)

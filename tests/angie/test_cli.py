@@ -90,6 +90,18 @@ def test_bad_input_is_one_line(inputs, bundle, tmp_path, capsys, photo, speech, 
         (["-o", "{tmp}/new.mp4", "--scale-motion", "twice"], "--scale-motion"),
         (["-o", "{tmp}/new.mp4", "--amplitude", "2.5"], "--amplitude"),
         (["-o", "{tmp}/new.mp4", "--size", "300"], "256, 512, 1024, photo"),
+        (["-o", "{tmp}/new.avi"], "let its name end in .mp4"),
+        (["-o", "{tmp}/new.mp4", "--format", "avi"], "choose from mp4, webm, gif, frames"),
+        (["-o", "{tmp}/new.mp4", "--format", "frames"], "leave .mp4 off"),
+        (["-o", "{tmp}/new.mp4", "--preview"], "let its name end in .png"),
+        (["-o", "{tmp}/new.mp4", "--start", "sofa"], "--start sofa"),
+        (["-o", "{tmp}/new.mp4", "--fade", "-1"], "--fade"),
+        (["-o", "{tmp}/new.mp4", "--temperature", "0"], "--temperature 0"),
+        (["-o", "{tmp}/new.mp4", "--greedy", "--temperature", "1"], "give one"),
+        (["-o", "{tmp}/new.mp4", "--motion", "{tmp}/none.npz"], "give the saved motion"),
+        (["-o", "{tmp}/new.mp4", "--motion", "{tmp}/taken.mp4", "--greedy"], "not for --motion"),
+        (["-o", "{tmp}/new.mp4", "--save-motion", "{tmp}/taken.mp4"], "exists already"),
+        (["-o", "{tmp}/new.mp4", "--jobs", "jobs.csv"], "--jobs: the list names"),
         (["-o", "{tmp}/new.mp4", "--size", "512", "--full-frame"], "give one"),
         (["-o", "{tmp}/new.mp4", "--speaker", "{tmp}"], "not a speaker bundle"),
     ],
@@ -269,3 +281,30 @@ def test_training_does_not_replace_its_dataset(dataset, capsys):
     status, _, err = call(capsys, "train", dataset.path, "-o", dataset.path.parent, "--force")
     assert status == 2 and "would replace the input" in err
     assert dataset.clips("train")
+
+
+def test_the_ways_of_a_video_through_the_command(inputs, bundle, tmp_path, capsys):
+    animate = ["animate", inputs / "photo.png", inputs / "speech.wav", "--speaker", bundle.folder]
+    sheet, video, moved = (tmp_path / name for name in ("sheet.png", "out.gif", "motion.npz"))
+    status, out, err = call(capsys, *animate, "-o", sheet, "--preview", "--save-motion", moved)
+    assert (status, err) == (0, "") and out.startswith(f"{sheet}: 6 of 25 frames")
+    draw = ["animate", inputs / "photo.png", "--speaker", bundle.folder, "--motion", moved]
+    status, out, err = call(capsys, *draw, "-o", video, "--consent", "a drawing")
+    assert (status, err) == (0, "")
+    assert out == f"{video}: 25 frames of 256x256, no sound\n"
+    status, out, _ = call(capsys, "info", video)
+    assert status == 0 and "not a real recording" in out and "a drawing" in out
+    check = ["verify", video, "--photo", inputs / "photo.png", "--speaker", bundle.folder]
+    status, out, _ = call(capsys, *check, "--motion", moved)
+    assert status == 0 and "verified: drawn again, every frame is equal" in out
+    status, out, _ = call(capsys, *check, "--motion", inputs / "text.wav")
+    assert status == 1 and "NOT verified" in out
+    jobs = tmp_path / "jobs.csv"
+    jobs.write_text(f"photo,audio,output\n{inputs}/none.png,{inputs}/speech.wav,a.mp4\n")
+    status, out, err = call(capsys, "animate", "--jobs", jobs, "--seed", "3")
+    assert status == 1 and "0 made, 0 there already, 1 failed" in out and "no such file" in err
+
+
+def test_completion_is_offered(capsys):
+    status, out, _ = call(capsys, "--help")
+    assert status == 0 and "--install-completion" in out

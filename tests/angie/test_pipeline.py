@@ -148,7 +148,7 @@ def test_what_cannot_be_is_told_before_anything_is_made(photo, speech, bundle, t
         ({"style": "adam"}, "one style only; models trained with gpt.joint=true"),
         ({"seed": -1}, "--seed -1: give a whole number from 0"),
         ({"seed": 0.5}, "--seed 0.5: give a whole number"),
-        ({"controls": 3}, "controls 3: ANGIE has none"),
+        ({"controls": 3}, "controls 3: give ANGIE.s Controls"),
     ):
         with pytest.raises(BadInput, match=words):
             pipe(photo, speech, **options)

@@ -17,8 +17,8 @@ from angie.bundle import Bundle
 from angie.generators.angie.family import NAME, load_generator
 from angie.generators.angie.generate import AngieGenerator
 from angie.generators.angie.tokenizer import VQMotionExtractor
-from angie.pipeline import COMMENT
 from angie.source import photo_crop
+from angie.video import COMMENT
 from data_prep.errors import BadInput
 from data_prep.files import check_apart, check_output, whole_file
 from data_prep.media.photo import read_photo

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from angie.generators.angie.generate import AngieGenerator
+from angie.generators.angie.generate import AngieGenerator, Controls
 from angie.generators.angie.gpt import CoSpeechGPT
 from angie.generators.angie.refiner import Refiner
 from angie.generators.angie.report import broken_share, gpt_report, in_words, vq_report
@@ -180,6 +180,7 @@ FAMILY = Family(
     styles=lambda settings, statistics: statistics.speakers if settings.gpt.joint else (),
     style_advice="gpt.joint=true",
     variants=VARIANTS,
+    controls=Controls,
     columns={"cannot be drawn": broken_share},
     report=in_words,
     codes_shown=_codes_shown,

@@ -67,6 +67,17 @@ class GenerationConfig:
             raise ValueError(f"blend is one of {', '.join(BLENDS)}, not {self.blend!r}")
 
 
+@dataclass(frozen=True)
+class Controls:
+    """What can be asked of ANGIE beside the sound.
+
+    Attributes:
+        temperature: of the sampling, above 0; None as the settings say.
+    """
+
+    temperature: float | None = None
+
+
 def voiced_tokens(onset: Tensor) -> Tensor:
     """Which tokens have sound, from the level in the first cepstral coefficient.
 
@@ -167,8 +178,8 @@ class AngieGenerator(GestureGenerator):
             ValueError: speech of fewer than `frames` frames, or a start pose of other regions.
             BadInput: an unknown speaker or style.
         """
-        if controls is not None:
-            raise BadInput(f"controls {controls!r}: ANGIE has none; leave them out")
+        if not isinstance(controls, Controls | None):
+            raise BadInput(f"controls {controls!r}: give ANGIE's Controls, or leave them out")
         if isinstance(style, Tensor):
             raise BadInput("--style: this generator knows styles by the names of speakers only")
         if start_codes is None and seed_motion is not None:
@@ -191,6 +202,8 @@ class AngieGenerator(GestureGenerator):
             sampling, voice = self.config.sampling, VOICE_FEATURES[self.config.sampling.voice]
             if greedy is not None:
                 sampling = replace(sampling, method="greedy" if greedy else "topk")
+            if controls is not None and controls.temperature is not None:
+                sampling = replace(sampling, temperature=controls.temperature)
             heard = torch.as_tensor(speech[voice][:tokens])
             voiced = heard > 0 if voice == "voice_causal" else voiced_tokens(heard)
             codes = self.draw_codes(onset, seed, start_codes, who, sampling, voiced)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from angie.generators.angie.gpt import CoSpeechGPT
+from data_prep.progress import Step, tell
 
 METHODS = ("greedy", "topk")
 
@@ -171,4 +172,5 @@ def continue_codes(
         if sampling.calm and still is not None and silent > SILENT_STEPS:
             codes[:, step] = still
         first = step
+        tell(Step("gestures", step + 1, steps, "codes"))
     return codes[:, :steps]

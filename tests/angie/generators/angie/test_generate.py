@@ -268,7 +268,7 @@ def test_a_clip_is_reconstructed_through_all_its_codes(generator, make_clip):
 
 
 def test_what_the_generator_does_not_have_is_refused(generator, speech, start):
-    with pytest.raises(BadInput, match="ANGIE has none"):
+    with pytest.raises(BadInput, match="give ANGIE.s Controls"):
         generator.generate(speech, start, 8, controls=object())
     with pytest.raises(BadInput, match="names of speakers only"):
         generator.generate(speech, start, 8, style=torch.ones(2))

@@ -1,0 +1,1 @@
+"""The web page and the service: one queue of videos behind both."""
