@@ -38,16 +38,6 @@ def check_output(path: Path, *, force: bool = False) -> None:
         raise BadInput(f"{path}: cannot write there ({error.strerror})") from error
 
 
-def check_mp4(path: Path) -> None:
-    """Refuse a name for a video that is not one of an mp4.
-
-    Raises:
-        BadInput: another ending.
-    """
-    if path.suffix.lower() != ".mp4":
-        raise BadInput(f"{path}: the video is an mp4; let its name end in .mp4")
-
-
 @contextmanager
 def whole_file(path: Path, *, force: bool = False) -> Iterator[Path]:
     """Yield a temporary path in the folder of `path`; it becomes `path` if the block succeeds.
