@@ -287,7 +287,7 @@ def full(name: str, job: Job, work: Path, truth: dict[str, str], share: float) -
     """Run a command where only a part of its result has room, then make room and repeat it."""
     needed = size_of(work / "undisturbed" / job.output)
     folder = work / "full"
-    with small_disk(folder, max(share * needed, 0.05)) as mounted:
+    with small_disk(folder, max(share * needed, 0.008)) as mounted:
         if not mounted:
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir()

@@ -96,7 +96,7 @@ _WIDER = np.clip(np.rint((np.arange(256) - 16) * (255 / 219)), 0, 255).astype(np
 def _luma(frame: VideoFrame, full: bool) -> np.ndarray:
     """The grey picture of a frame that holds it, in full range: a quarter of a conversion."""
     plane = frame.planes[0]
-    rows = np.frombuffer(plane, np.uint8).reshape(plane.height, plane.line_size)
+    rows = np.frombuffer(memoryview(plane), np.uint8).reshape(plane.height, plane.line_size)
     return rows[:, : plane.width].copy() if full else cv2.LUT(rows[:, : plane.width], _WIDER)
 
 
