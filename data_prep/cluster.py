@@ -1,4 +1,4 @@
-"""Work spread over many machines by Ray, as `data_prep.progress.spread` does over processes.
+"""Work spread over many machines by Ray, as `data_prep.processes.spread` does over processes.
 
 All machines must see the same files by the same names, and have the same version installed.
 """

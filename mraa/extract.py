@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from data_prep.dataset import Clip, Dataset
 from data_prep.errors import BadInput
 from data_prep.files import whole_file
-from data_prep.progress import progress, spread
+from data_prep.processes import spread
+from data_prep.progress import progress
 from mraa.affine import encode_cholesky
 from mraa.motion import Motion, read_motion, write_motion
 from mraa.regions import RegionEstimator, Regions

@@ -25,8 +25,10 @@ from angie.commands.options import (
     Words,
 )
 from angie.request import OPTIONS, Pipelines, Request
-from data_prep.errors import BadInput, collected_notes, note
-from data_prep.progress import begin, console
+from data_prep.errors import BadInput, note
+from data_prep.processes import begin
+from data_prep.progress import console
+from data_prep.speech.hearing import hear
 
 if TYPE_CHECKING:
     from data_prep.speaker.crop import Crop
@@ -155,7 +157,7 @@ def _animate(
     force: bool,
 ) -> None:
     """Make one video, or the sheet that stands for it."""
-    from angie.generators import DEFAULT
+    from angie.generators import DEFAULT, DEFAULT_FEATURES
     from data_prep.files import check_apart, check_output
     from data_prep.media.formats import format_of
 
@@ -169,7 +171,9 @@ def _animate(
     request.check()
     spoken = request.audio is not None and request.drive is None and request.motion is None
     usual = request.generator in (None, DEFAULT) and request.words is None
-    heard = begin(_heard, request.audio) if usual and spoken and request.audio else None
+    heard = None
+    if usual and spoken and request.audio:
+        heard = begin(hear, (request.audio, DEFAULT_FEATURES))
     square = None if request.crop else _found(request.photo, request.person, request.models)
     for path in outputs:
         check_apart(path, request.inputs)
@@ -204,23 +208,6 @@ def _list_of_jobs(
     failed = run(jobs, pipelines, usual, force=force, ray=ray)
     if failed:
         raise typer.Exit(1)
-
-
-def _heard(audio: Path) -> "tuple[Speech, list[str]]":
-    """The features of a recording that the default generator reads, and what was odd about it.
-
-    In a process of its own: Librosa is imported beside the networks' libraries, not after them.
-    """
-    from angie.generators import DEFAULT_FEATURES
-    from data_prep.media.audio import read_sound
-    from data_prep.speech.features import Speech
-
-    with collected_notes() as notes:
-        speech = Speech(read_sound(audio))
-        for name in DEFAULT_FEATURES:
-            speech[name]
-    speech.forget_samples()
-    return speech, notes
 
 
 def _noted(speech: "Speech", notes: list[str]) -> "Speech":

@@ -20,7 +20,8 @@ from data_prep.phantom.presenters import Presenter, Setting, presenter, setting
 from data_prep.phantom.script import script
 from data_prep.phantom.skeleton import JOINTS, Course, Joints, joints
 from data_prep.phantom.speech import Speech, speak
-from data_prep.progress import progress, spread
+from data_prep.processes import spread
+from data_prep.progress import progress
 from data_prep.rates import FPS
 
 COMMENT = "Synthetic: the phantom speaker of angie; no real person is shown or heard."

@@ -32,7 +32,8 @@ from data_prep.prepare.source import (
 from data_prep.prepare.split import BY_PERSON, BY_SOURCE, split_clips
 from data_prep.prepare.summary import Summary
 from data_prep.prepare.workplace import Workplace, check_place, making, workplace
-from data_prep.progress import progress, spread
+from data_prep.processes import spread
+from data_prep.progress import progress
 from data_prep.rates import FPS, IMAGE_SIZE, SAMPLE_RATE
 from data_prep.speaker.networks import FACE, load_network
 from data_prep.speech.transcript import find_transcript

@@ -5,15 +5,15 @@ What concerns onsets is librosa's; the cepstra are those of python_speech_featur
 
 import functools
 import os
-from collections.abc import Callable
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import soxr
 from filelock import FileLock
 from numpy.typing import NDArray
-from scipy.fft import dct
 
 from data_prep.files import numba_cache
 from data_prep.rates import (
@@ -41,6 +41,9 @@ _BPM = 120.0
 """Beats a minute that are likeliest before a recording is heard."""
 
 _MFCCS = 20
+_MEDIAN = 31
+"""Windows, and bands, over which the percussive part takes medians."""
+
 _TEMPOGRAM = 384
 _SHORTEST = 1.6
 """Seconds below which the onset recipe fails; shorter sound is mirrored up to it."""
@@ -70,22 +73,42 @@ _FLOOR = np.finfo(np.float64).eps
 
 @functools.cache
 def load_librosa() -> ModuleType:
-    """Librosa but for its beat tracker, imported when first needed.
-
-    Numba keeps on disk what it compiles. Processes that compile a function of librosa at the same
-    moment mix up its files, and then they and all later ones crash; so they import it in turn.
-    """
+    """Librosa, imported when first needed."""
     numba_cache()
-    folder = os.environ.get("NUMBA_CACHE_DIR")
-    if folder:
-        os.makedirs(folder, exist_ok=True)
-    with FileLock(os.path.join(folder, "librosa.lock")) if folder else nullcontext():
-        import librosa.effects
+    with _compiled_when_called():
         import librosa.feature
         import librosa.onset
-
-        librosa.onset.onset_detect(onset_envelope=np.ones(64, np.float32), sr=SAMPLE_RATE)
     return librosa
+
+
+@contextmanager
+def _compiled_when_called() -> Iterator[None]:
+    """Put off what numba compiles as soon as it is defined until it is called.
+
+    Librosa defines some 30 loops in this way, of which one is used here: compiling them took half
+    a minute when librosa was first imported, and loading them half a second ever after.
+    """
+    import numba
+
+    kept = numba.guvectorize, numba.vectorize
+    numba.guvectorize, numba.vectorize = (_later(decorator) for decorator in kept)
+    try:
+        yield
+    finally:
+        numba.guvectorize, numba.vectorize = kept
+
+
+def _later(decorator: Callable[..., Any]) -> Callable[..., Any]:
+    """A decorator with arguments, of which the function gets the use at its first call."""
+
+    def with_arguments(*args: Any, **settings: Any) -> Callable[..., Any]:
+        def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+            made = functools.cache(lambda: decorator(*args, **settings)(function))
+            return functools.wraps(function)(lambda *given, **named: made()(*given, **named))
+
+        return decorate
+
+    return with_arguments
 
 
 def onset_rows(samples: NDArray) -> NDArray:
@@ -142,13 +165,22 @@ def _mel_power(samples: NDArray, rate: int) -> NDArray:
 
 
 def _percussive(samples: NDArray) -> NDArray:
-    """The percussive part of sound (Fitzgerald 2010), `(N,)` float32."""
+    """The percussive part of sound (Fitzgerald 2010), `(N,)` float32.
+
+    What `librosa.effects.percussive` gives; that module takes as long to import as all the rest.
+    """
+    from scipy.ndimage import median_filter
+
     librosa = load_librosa()
     step, reach = _BLOCK * _HOP, _REACH * _HOP
     blocks = []
     for first in range(0, len(samples), step):
         begin = max(first - reach, 0)
-        part = librosa.effects.percussive(samples[begin : first + step + reach])
+        part = samples[begin : first + step + reach]
+        level, phase = librosa.magphase(librosa.stft(part))
+        steady, sudden = (median_filter(level, size) for size in ((1, _MEDIAN), (_MEDIAN, 1)))
+        share = librosa.util.softmask(sudden, steady, power=2, split_zeros=True)
+        part = librosa.istft(level * share * phase, length=len(part))
         blocks.append(part[first - begin :][:step])
     return np.concatenate(blocks)
 
@@ -179,10 +211,24 @@ def onset_times(samples: NDArray) -> NDArray:
     """Onsets of sounds in seconds, `(n,)` float32: librosa's detector at 16 kHz, hop 512."""
     librosa = load_librosa()
     strength = _onset_strength(samples, SAMPLE_RATE, np.mean)
-    times = librosa.onset.onset_detect(
-        onset_envelope=strength, sr=SAMPLE_RATE, hop_length=_HOP, units="time"
-    )
+    with _in_turn():
+        times = librosa.onset.onset_detect(
+            onset_envelope=strength, sr=SAMPLE_RATE, hop_length=_HOP, units="time"
+        )
     return times.astype(np.float32)
+
+
+def _in_turn() -> AbstractContextManager[object]:
+    """Processes do what is in this block one after the other.
+
+    Numba keeps on disk what it compiles. Processes that compile a loop for several types at the
+    same moment mix up its files, and then they and all later ones crash.
+    """
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    if not folder:
+        return nullcontext()
+    os.makedirs(folder, exist_ok=True)
+    return FileLock(os.path.join(folder, "librosa.lock"))
 
 
 def mfcc_windows(samples: NDArray) -> NDArray:
@@ -246,6 +292,8 @@ def cepstra(samples: NDArray, count: int, around: int = 0) -> NDArray:
 
 def _cepstra(samples: NDArray, begin: int, count: int, after: int) -> NDArray:
     """Cepstra of `count` windows, the first at sample `begin`, which may be before the sound."""
+    from scipy.fft import dct
+
     needed = (count - 1) * MFCC_HOP + WINDOW
     heard = samples[max(begin - 1, 0) : max(begin + needed, 0)].astype(np.float64)
     heard = np.pad(heard, (min(max(1 - begin, 0), needed + 1), after))  # from begin - 1 on

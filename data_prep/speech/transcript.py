@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import binary_closing
 
 from data_prep.errors import BadInput
 from data_prep.media.container import check_file, describe
@@ -62,6 +61,8 @@ def voiced(samples: np.ndarray) -> list[tuple[float, float]]:
     Returns:
         start and end of each in seconds, in order.
     """
+    from scipy.ndimage import binary_closing  # slow to import
+
     steps = len(samples) // HOP
     if not steps:
         return []

@@ -5,7 +5,8 @@ the flow predictor sees, the flow from its logits, the warp of the source's feat
 blend by the occlusion, the last picture. Coordinates, exponentials and sums are float32.
 
 Arrays are C-contiguous with channels last. Activations are float32, or bfloat16 given by its bits
-as uint16. Nothing here takes a lock: call from as many threads as there are batches.
+as uint16. Nothing here takes a lock: call from as many threads as there are batches. Arrays are not
+assigned to parts of others: numba compiles three seconds for what that may say of their shapes.
 """
 
 import math
@@ -381,7 +382,8 @@ def picture(
                 for i in range(width):
                     shown[i] /= shown[i] + (one - shown[i]) * _exp(-line[i])
                 if fine.size:
-                    fine[n, j] = shown
+                    for i in range(width):
+                        fine[n, j, i] = shown[i]
             for e in range(3):
                 _row_logits(logits, n, j, e, line)
                 for i in range(width):
@@ -393,4 +395,6 @@ def picture(
                     value = min(max(value, np.float32(0.0)), one)
                     out[n, j, i, e] = np.uint8(value * np.float32(255.0) + np.float32(0.5))
             if painted.size:
-                painted[n, :, j] = made
+                for e in range(3):
+                    for i in range(width):
+                        painted[n, e, j, i] = made[e, i]

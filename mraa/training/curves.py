@@ -10,10 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import imageio.v3 as iio
 import numpy as np
 import torch
-from scipy.ndimage import uniform_filter1d
 from torch import Tensor
 
 from data_prep.errors import BadInput
@@ -91,6 +89,8 @@ def sample_sheet(renderer: Renderer, source: Tensor, driving: Tensor, rows: int 
 def write_sheet(path: Path, sheet: np.ndarray) -> None:
     """Write a sheet (H, W, 3) uint8 RGB as PNG, making its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    import imageio.v3 as iio
+
     iio.imwrite(path, sheet, extension=".png")
 
 
@@ -201,5 +201,7 @@ def draw_curves(points: Points, path: Path) -> None:
 
 def _smooth(line: np.ndarray) -> np.ndarray:
     """Mean over a twentieth of the points on either side."""
+    from scipy.ndimage import uniform_filter1d
+
     reach = len(line) // 20
     return uniform_filter1d(line, 2 * reach + 1, mode="nearest")

@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from data_prep.progress import spread
+from data_prep.processes import spread
 
 
 def square(number: int) -> int:
