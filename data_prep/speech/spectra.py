@@ -85,7 +85,7 @@ def load_librosa() -> ModuleType:
 def _compiled_when_called() -> Iterator[None]:
     """Put off what numba compiles as soon as it is defined until it is called.
 
-    Librosa defines some 30 loops in this way, of which one is used here: compiling them took half
+    Librosa defines some 30 loops in this way, of which two are used here: compiling them took half
     a minute when librosa was first imported, and loading them half a second ever after.
     """
     import numba
@@ -103,12 +103,29 @@ def _later(decorator: Callable[..., Any]) -> Callable[..., Any]:
 
     def with_arguments(*args: Any, **settings: Any) -> Callable[..., Any]:
         def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-            made = functools.cache(lambda: decorator(*args, **settings)(function))
+            @functools.cache
+            def made() -> Callable[..., Any]:
+                with _in_turn():
+                    return decorator(*args, **settings)(function)
+
             return functools.wraps(function)(lambda *given, **named: made()(*given, **named))
 
         return decorate
 
     return with_arguments
+
+
+def _in_turn() -> AbstractContextManager[object]:
+    """Processes do what is in this block one after the other.
+
+    Numba keeps on disk what it compiles. Processes that compile a loop for several types at the
+    same moment mix up its files, and then they and all later ones crash.
+    """
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    if not folder:
+        return nullcontext()
+    os.makedirs(folder, exist_ok=True)
+    return FileLock(os.path.join(folder, "librosa.lock"))
 
 
 def onset_rows(samples: NDArray) -> NDArray:
@@ -167,7 +184,8 @@ def _mel_power(samples: NDArray, rate: int) -> NDArray:
 def _percussive(samples: NDArray) -> NDArray:
     """The percussive part of sound (Fitzgerald 2010), `(N,)` float32.
 
-    What `librosa.effects.percussive` gives; that module takes as long to import as all the rest.
+    What `librosa.effects.percussive` gives; that module imports scikit-learn, which takes as long
+    as all the rest.
     """
     from scipy.ndimage import median_filter
 
@@ -180,9 +198,27 @@ def _percussive(samples: NDArray) -> NDArray:
         level, phase = librosa.magphase(librosa.stft(part))
         steady, sudden = (median_filter(level, size) for size in ((1, _MEDIAN), (_MEDIAN, 1)))
         share = librosa.util.softmask(sudden, steady, power=2, split_zeros=True)
-        part = librosa.istft(level * share * phase, length=len(part))
+        part = _sound(level * share * phase, len(part))
         blocks.append(part[first - begin :][:step])
     return np.concatenate(blocks)
+
+
+def _sound(spectra: NDArray, length: int) -> NDArray:
+    """Sound `(length,)` float32 of `librosa.stft`'s `(1025, T)`, as `librosa.istft` gives it.
+
+    That one's loops are compiled, for two seconds at the first run; they are no faster than these.
+    """
+    from scipy.fft import irfft
+    from scipy.signal import get_window
+
+    window = get_window("hann", _FFT)
+    pieces = (window[:, None] * irfft(spectra, axis=0)).T
+    total, weight = np.zeros((2, (len(pieces) - 1) * _HOP + _FFT), np.float32)
+    for first, piece in zip(range(0, len(total), _HOP), pieces, strict=False):
+        total[first : first + _FFT] += piece
+        weight[first : first + _FFT] += window**2
+    heard = slice(_FFT // 2, _FFT // 2 + length)
+    return total[heard] / np.maximum(weight[heard], np.finfo(np.float32).tiny)
 
 
 def _onset_strength(samples: NDArray, rate: int, over_bands: Callable[..., NDArray]) -> NDArray:
@@ -211,24 +247,10 @@ def onset_times(samples: NDArray) -> NDArray:
     """Onsets of sounds in seconds, `(n,)` float32: librosa's detector at 16 kHz, hop 512."""
     librosa = load_librosa()
     strength = _onset_strength(samples, SAMPLE_RATE, np.mean)
-    with _in_turn():
-        times = librosa.onset.onset_detect(
-            onset_envelope=strength, sr=SAMPLE_RATE, hop_length=_HOP, units="time"
-        )
+    times = librosa.onset.onset_detect(
+        onset_envelope=strength, sr=SAMPLE_RATE, hop_length=_HOP, units="time"
+    )
     return times.astype(np.float32)
-
-
-def _in_turn() -> AbstractContextManager[object]:
-    """Processes do what is in this block one after the other.
-
-    Numba keeps on disk what it compiles. Processes that compile a loop for several types at the
-    same moment mix up its files, and then they and all later ones crash.
-    """
-    folder = os.environ.get("NUMBA_CACHE_DIR")
-    if not folder:
-        return nullcontext()
-    os.makedirs(folder, exist_ok=True)
-    return FileLock(os.path.join(folder, "librosa.lock"))
 
 
 def mfcc_windows(samples: NDArray) -> NDArray:
