@@ -1,14 +1,23 @@
 """Speech features: the stated columns in the stated order, and windows centred on their frames."""
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 import soxr
 
 from data_prep.speech.features import Speech, register_feature
-from data_prep.speech.spectra import cepstra, load_librosa, mfcc_windows, onset_rows, onset_times
+from data_prep.speech.spectra import (
+    _percussive,
+    cepstra,
+    load_librosa,
+    mfcc_windows,
+    onset_rows,
+    onset_times,
+)
 from data_prep.speech.words import Word
 
 
@@ -77,13 +86,25 @@ def test_onset_times_are_those_of_librosa(monkeypatch: pytest.MonkeyPatch) -> No
     np.testing.assert_allclose(onset_times(samples), expected, atol=1e-6)
 
 
-def test_librosa_is_loaded_when_onsets_are_asked_for() -> None:
+def test_librosa_is_loaded_when_onsets_are_asked_for_and_compiles_nothing(tmp_path: Path) -> None:
     code = (
         "import sys, numpy; from data_prep.speech.features import Speech; "
         "speech = Speech(numpy.ones(9999)); speech['mfcc']; "
-        "assert not {'librosa', 'numba', 'torch'} & set(sys.modules), sys.modules.keys()"
+        "assert not {'librosa', 'numba', 'torch'} & set(sys.modules), sys.modules.keys(); "
+        "from data_prep.speech.spectra import load_librosa; load_librosa().onset.onset_detect; "
+        "assert not {'sklearn', 'torch'} & set(sys.modules), sys.modules.keys()"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    cache = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", code], check=True, env=cache)
+    assert not list(tmp_path.rglob("*.nb*"))
+
+
+def test_percussive_part_is_that_of_librosa() -> None:
+    effects = load_librosa().effects
+    samples = bursts(1, 0.25) + 0.1 * np.sin(np.arange(16000, dtype=np.float32) / 3)
+    expected = effects.percussive(samples)
+    assert 0.1 < np.square(expected).sum() / np.square(samples).sum() < 0.9
+    np.testing.assert_allclose(_percussive(samples), expected, atol=1e-7)
 
 
 def test_short_sound_is_mirrored_to_what_the_recipe_needs() -> None:
