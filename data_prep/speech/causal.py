@@ -7,7 +7,6 @@ them. They need no statistics: all columns lie within a few units of zero.
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import dct
 
 from data_prep.rates import SAMPLES_PER_TOKEN, frames_covering, tokens_covering
 from data_prep.speech.spectra import MFCC_HOP, WINDOW, mel_filters
@@ -122,6 +121,8 @@ def _levels(bands: NDArray, first: int) -> tuple[NDArray, NDArray, NDArray]:
 
 def _rows(bands: NDArray, first: int) -> NDArray:
     """Rows (n, 114) of histories (n, PAST + AHEAD, 26) of tokens from the place `first` on."""
+    from scipy.fft import dct
+
     loud, place, voiced = _levels(bands, first)
     half = AHEAD // 2
     spans = [bands[:, -AHEAD - _HOPS : -AHEAD], bands[:, -AHEAD:-half], bands[:, -half:]]
