@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from angie.cli import main
+from angie.motion.amplitude import ADVICE
 from data_prep.media.audio import write_wav
 from data_prep.media.video import VideoWriter
 from data_prep.phantom.make import still
@@ -126,7 +127,8 @@ def test_animate_prints_its_result(inputs, bundle, tmp_path, capsys):
         *("animate", inputs / "photo.png", inputs / "speech.wav"),
         *("-o", path, "--speaker", bundle.folder),
     )
-    assert status == 0 and err == ""
+    assert status == 0
+    assert err in ("", f"angie: {ADVICE}\n")  # barely trained, it is not sure of its regions
     assert out == f"{path}: 25 frames of 256x256, 1.00 s of sound\n"
     assert [p.name for p in tmp_path.iterdir()] == ["out.mp4"]
 
