@@ -45,6 +45,7 @@ def test_an_unknown_speaker_is_refused_with_the_nearest_name(statistics):
 def test_onset_is_standardised_and_clamped_but_beats_stay_raw(clips, statistics):
     onset = torch.from_numpy(np.concatenate([clip.speech["onset"] for clip in clips]))
     standard = statistics.standard_onset(onset)
+    assert BEAT_COLUMN == 41  # after 20 cepstra, 20 deltas and the onset strength
     assert torch.equal(standard[:, BEAT_COLUMN], onset[:, BEAT_COLUMN])
     others = torch.cat([standard[:, :BEAT_COLUMN], standard[:, BEAT_COLUMN + 1 :]], dim=1)
     assert others.mean(0).abs().max() < 1e-2

@@ -184,3 +184,12 @@ def test_names_of_features_are_not_taken_twice() -> None:
         register_feature("mfcc", len)
     with pytest.raises(ValueError, match="no name"):
         register_feature("a/b", len)
+
+
+def test_the_energy_is_left_out_of_the_windows() -> None:
+    # twice as loud adds one number to all bands, which is in the first cepstrum alone
+    rng = np.random.default_rng(0)
+    samples = (0.1 * rng.normal(size=8000)).astype(np.float32)
+    once, twice = mfcc_windows(samples), mfcc_windows(2 * samples)
+    np.testing.assert_allclose(once[5], twice[5], atol=1e-3)
+    assert np.abs(once[5]).max() > 1

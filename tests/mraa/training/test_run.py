@@ -276,3 +276,12 @@ def test_a_checkpoint_with_other_models_or_of_another_version_is_refused(tmp_pat
     save_file(linear.state_dict(), tmp_path / "toy.safetensors", {"step": "2", "identity": ""})
     with pytest.raises(BadInput, match="another version; train without --resume"):
         work(tmp_path, 4, resume=True)
+
+
+def test_the_rate_falls_to_a_tenth_at_every_milestone(tmp_path):
+    run = open_run(tmp_path, 6)
+    toy = nn.Linear(2, 1)
+    optimizer = torch.optim.Adam(toy.parameters(), lr=0.1)
+    run.add("toy", toy, optimizer, [2, 5])
+    rates = [optimizer.param_groups[0]["lr"] for _ in run.steps()]
+    assert rates == pytest.approx([0.1, 0.1, 0.01, 0.01, 0.01, 0.001])
