@@ -198,7 +198,7 @@ def heavy() -> dict[str, Target]:
     from mraa.training.checkpoint import Checkpoint
 
     def bundle(folder: Path) -> list[Path]:
-        for name in ("bundle.json", "statistics.safetensors", "angie.vq.safetensors"):
+        for name in ("bundle.json", "statistics.safetensors", "tricon.generator.safetensors"):
             shutil.copyfile(BUNDLE / name, folder / name)
         return [folder / "bundle.json", folder / "statistics.safetensors"]
 

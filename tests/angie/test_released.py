@@ -195,7 +195,7 @@ def bad(other, tmp_path_factory):
         ("folder.pth", "is a folder"),
         ("cut.pth", "not a readable checkpoint"),
         ("text.pth", "not a readable checkpoint"),
-        ("empty.pth", "not a readable checkpoint"),
+        ("empty.pth", "is empty"),
         ("hostile.pth", "not a readable checkpoint"),
         ("list.pth", "it is a list"),
         ("fomm.pth", "has no region_predictor"),

@@ -55,7 +55,7 @@ def test_vgg19_from_a_local_file(tmp_path):
     with pytest.raises(BadInput, match="no such file"):
         load_vgg19(tmp_path / "none.pth")
     (tmp_path / "bad.pth").write_bytes(b"nothing")
-    with pytest.raises(BadInput, match="not a VGG19 state dict"):
+    with pytest.raises(BadInput, match="not a readable checkpoint"):
         load_vgg19(tmp_path / "bad.pth")
     torch.save({"features.0.weight": torch.zeros(64, 3, 3, 3)}, path)
     with pytest.raises(BadInput, match="not a VGG19 state dict"):

@@ -93,6 +93,7 @@ def numbers(space, judge):
     one = report.numbers_of_space(space, judge, made, told, name, bins, {"a": "b"}, {"mine": {}})
     one |= {
         "images": {"about": "All.", "rows": [numbers_of_images("mine", "Drawn.", images)]},
+        "people": None,
         "videos": ["videos-0/a.mp4"],
     }
     sizes = {"test_clips": 4, "train_clips": 8, "test_minutes": 1.0, "train_minutes": 2.0}

@@ -31,7 +31,7 @@ def fail(*arguments: str) -> str:
         (["a.mp4", "--shortest", "9"], "twice --shortest"),
         (["a.mp4", "--longest", "nan"], "twice --shortest"),
         (["a.mp4", "--add", "--force"], "give one"),
-        (["a.mp4", "--pats", "none.csv"], "none.csv: cannot be read"),
+        (["a.mp4", "--pats", "none.csv"], "none.csv: no such file"),
     ],
 )
 def test_bad_options(

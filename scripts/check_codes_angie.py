@@ -1,6 +1,6 @@
 """Whether a code moves different people alike: Figure 4 of the paper as a number.
 
-    python scripts/check_codes.py BUNDLE PHOTO PHOTO... [--pairs 12]
+    python scripts/check_codes_angie.py BUNDLE PHOTO PHOTO... [--pairs 12]
 
 Frequent pairs of codes are drawn on every photo as `angie codebook` does. Of each the field of
 displacement is taken where it moves most: how far the renderer's flow fetches every pixel from,
