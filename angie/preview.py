@@ -143,7 +143,8 @@ def write_sheet(
         pipeline.tracking(False), video.subject.picture, video.pose, chosen, pipeline.precision
     )
     figure = Figure(figsize=(12, 6.2), layout="constrained")
-    above, below = figure.subfigures(2, 1, height_ratios=(1, 1.8))
+    halves: Any = figure.subfigures(2, 1, height_ratios=(1, 1.8))
+    above, below = halves
     tiles = above.subplots(1, len(numbers), squeeze=False)[0]
     for number, tile, picture, region in zip(
         numbers, tiles, np.concatenate(list(drawn)), _ellipses(chosen), strict=True

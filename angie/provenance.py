@@ -144,7 +144,9 @@ def read_origin(path: Path) -> Origin:
         how = done["parameters"]
         return Origin(
             str(told[MARK]["version"]),
-            *(str(how[key]) for key in ("method", "bundle", "generator")),
+            str(how["method"]),
+            str(how["bundle"]),
+            str(how["generator"]),
             dict(how["settings"]),
             {str(one["dc:title"]): str(one["hash"]) for one in inputs},
             {str(one["dc:title"]): str(one["kind"]) for one in inputs},

@@ -205,7 +205,9 @@ def _value(name: str, text: str, folder: Path) -> Any:
     try:
         return read(text)
     except (ValueError, KeyError):
-        wanted = {int: "a whole number", float: "a number"}.get(read, "true or false")
+        wanted = (
+            "a whole number" if read is int else "a number" if read is float else "true or false"
+        )
         raise BadInput(f"{name.replace('_', '-')} {text}: give {wanted}") from None
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +80,9 @@ def verify(
         return Verdict(False, wrong)
     if bundle_hash(pipeline.bundle, origin.generator or None) != origin.bundle:
         return Verdict(False, f"{pipeline.bundle.folder} is not the bundle that made it")
-    files = {"audio" if name == "sound" else name: path for name, path in given.items() if path}
+    files: dict[str, Any] = {
+        "audio" if name == "sound" else name: path for name, path in given.items() if path
+    }
     try:
         request = Request(**files, **origin.settings)
         request.check()

@@ -21,6 +21,7 @@ from PIL import Image
 from angie.request import Pipelines, Request
 from data_prep.errors import BadInput, Cancelled
 from data_prep.media.audio import open_recording
+from data_prep.media.container import check_file
 from data_prep.progress import Step
 
 if TYPE_CHECKING:
@@ -63,6 +64,7 @@ class Limits:
             BadInput: what is too large, or cannot be read.
         """
         for path in (photo, audio):
+            check_file(path)
             if path.stat().st_size > self.upload:
                 raise BadInput(
                     f"{path}: has more than {self.upload / 1e6:g} MB; give a smaller file"

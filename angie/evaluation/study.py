@@ -20,7 +20,7 @@ import numpy as np
 from angie.evaluation.report import MARK as REPORT
 from angie.evaluation.rows import REFERENCES, TRUE_REGIONS
 from angie.evaluation.videos import STRIP
-from angie.pipeline import COMMENT
+from angie.video import COMMENT
 from data_prep.errors import BadInput
 from data_prep.files import check_apart, whole_folder
 from data_prep.media.audio import read_sound
