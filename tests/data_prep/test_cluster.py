@@ -19,7 +19,12 @@ pytestmark = pytest.mark.slow
 def cluster():
     import ray
 
-    ray.init(address="local", num_cpus=2, include_dashboard=False, log_to_driver=False)
+    here = Path(__file__).parent  # the workers import the functions below from it
+    there = {"PYTHONPATH": os.pathsep.join([str(here), str(here.parents[1])])}
+    ray.init(
+        address="local", num_cpus=2, include_dashboard=False, log_to_driver=False,
+        runtime_env={"env_vars": there},
+    )  # fmt: skip
     yield
     ray.shutdown()
 
