@@ -21,8 +21,8 @@ from data_prep.media.photo import read_photo
 from data_prep.media.video import probe, read_frames
 
 NEAR = 35.0
-"""Decibels of the worst frame from which on a video counts as the same, drawn elsewhere: another
-seed's comes below 30, another precision's of the renderer above 40."""
+"""Decibels of the worst frame from which on a video counts as the same, drawn elsewhere. In three
+seconds of the demo another seed's came to 14 and 17, float32 in place of bfloat16 to 40.4."""
 
 QUIET = 0.02
 """Largest root mean square of the difference of two sounds that are the same."""

@@ -7,6 +7,7 @@ library's allocator, told to keep the memory of large tensors between steps.
 import ctypes
 import logging
 import os
+import re
 import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -30,6 +31,9 @@ def native_bf16(device: torch.device) -> bool:
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
     if device.type == "cpu":
+        limit = os.environ.get("ONEDNN_MAX_CPU_ISA", "ALL").upper()  # what oneDNN may use of it
+        if not re.search("ALL|DEFAULT|BF16|FP16|AMX|AVX10", limit):
+            return False
         names = ("_is_avx512_bf16_supported", "_is_amx_tile_supported")  # torch 2.6 and newer
         return any(getattr(torch.cpu, name, bool)() for name in names)
     return False

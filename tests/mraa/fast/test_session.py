@@ -270,3 +270,8 @@ def test_golden_files(moving):
         assert float((blended(photo, parts, False) - wanted[i : i + 1]).abs().max()) < 1e-4
         if moving:
             assert float((parts[0].flow - io["out.optical_flow"][i]).abs().max()) < 1e-4
+
+
+def test_a_processor_that_onednn_is_told_to_use_less_of_draws_in_float32(monkeypatch):
+    monkeypatch.setenv("ONEDNN_MAX_CPU_ISA", "AVX2")
+    assert choose_precision("auto", torch.device("cpu")) == torch.float32
