@@ -98,7 +98,7 @@ def _threads() -> Finding:
     told = os.environ.get("OMP_NUM_THREADS")
     advice = ""
     if used < there and told:
-        advice = f"OMP_NUM_THREADS={told} holds {there - used} cores back; unset it"
+        advice = f"OMP_NUM_THREADS={told} leaves {there - used} of {there} cores idle; unset it"
     return Finding("threads", f"{used} of {there} cores", advice)
 
 

@@ -171,8 +171,8 @@ def describe(bundle: "Bundle") -> str:
     ]
     for name in bundle.generators:
         lines += [f"{label:<12}{text}" for label, text in _generator(bundle, name)]
-    for part in bundle.parts:
-        lines.append(f"{part:<14}{_state(bundle, part)}")
+    wide = max(map(len, bundle.parts), default=0) + 1
+    lines += [f"{part:<{wide}}{_state(bundle, part)}" for part in bundle.parts]
     return "\n".join(lines)
 
 

@@ -63,7 +63,8 @@ def animate(
         ),
     ] = 1.0,
     temperature: Annotated[
-        float | None, typer.Option(help="How daring the gestures are, above 0; 1 is as trained.")
+        float | None,
+        typer.Option(help="How daring the gestures are, above 0 and up to 5; 1 is as trained."),
     ] = None,
     start: Annotated[
         str, typer.Option(help="Begin with the photo's pose (photo) or a speaker's at rest (rest).")
@@ -194,7 +195,8 @@ def _animate(
     if result.note:
         console.print(f"angie: {result.note}", highlight=False, markup=False, soft_wrap=True)
     width, height = result.width_height
-    sound = f"{result.seconds:.2f} s of sound" if result.seconds else "no sound"
+    sounds = format_of(output, request.format) in ("mp4", "webm") and result.seconds > 0
+    sound = f"{result.seconds:.2f} s of sound" if sounds else "no sound"
     print(f"{output}: {result.frames} frames of {width}x{height}, {sound}")
 
 

@@ -100,6 +100,9 @@ def format_of(path: Path, wanted: str | None = None) -> str:
         return ending
     if wanted is None or ending != wanted:
         name = wanted or "mp4"
+        article = "an" if name == "mp4" else "a"
         others = "" if wanted else " (.webm and .gif are known too, and --format frames)"
-        raise BadInput(f"{path}: the video is an {name}; let its name end in .{name}{others}")
+        raise BadInput(
+            f"{path}: the video is {article} {name}; let its name end in .{name}{others}"
+        )
     return wanted

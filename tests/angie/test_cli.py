@@ -94,6 +94,7 @@ def test_bad_input_is_one_line(inputs, bundle, tmp_path, capsys, photo, speech, 
         (["-o", "{tmp}/new.avi"], "let its name end in .mp4"),
         (["-o", "{tmp}/new.mp4", "--format", "avi"], "choose from mp4, webm, gif, frames"),
         (["-o", "{tmp}/new.mp4", "--format", "frames"], "leave .mp4 off"),
+        (["-o", "{tmp}/new.mp4", "--format", "gif"], "is a gif; let its name end in .gif"),
         (["-o", "{tmp}/new.mp4", "--preview"], "let its name end in .png"),
         (["-o", "{tmp}/new.mp4", "--start", "sofa"], "--start sofa"),
         (["-o", "{tmp}/new.mp4", "--fade", "-1"], "--fade"),
@@ -294,6 +295,9 @@ def test_the_ways_of_a_video_through_the_command(inputs, bundle, tmp_path, capsy
     status, out, err = call(capsys, *draw, "-o", video, "--consent", "a drawing")
     assert (status, err) == (0, "")
     assert out == f"{video}: 25 frames of 256x256, no sound\n"
+    silent = tmp_path / "silent.gif"  # a gif has no sound, though there was a recording
+    status, out, _ = call(capsys, *animate, "--motion", moved, "-o", silent)
+    assert status == 0 and out == f"{silent}: 25 frames of 256x256, no sound\n"
     status, out, _ = call(capsys, "info", video)
     assert status == 0 and "not a real recording" in out and "a drawing" in out
     check = ["verify", video, "--photo", inputs / "photo.png", "--speaker", bundle.folder]
