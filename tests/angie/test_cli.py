@@ -246,7 +246,11 @@ def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path, capsys, monkeypat
         raise RecursionError  # as numpy does, loaded in part
 
     monkeypatch.setattr("data_prep.phantom.make.make_phantom", interrupted)
-    status, out, err = call(capsys, "phantom", "-o", tmp_path / "raw")
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's "&" ignores it
+    try:
+        status, out, err = call(capsys, "phantom", "-o", tmp_path / "raw")
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert (status, out, err) == (130, "", "angie: interrupted\n")
     assert list(tmp_path.iterdir()) == []
 
