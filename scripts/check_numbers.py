@@ -17,10 +17,10 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from fuzzing.tokeniser_angie import hostile_training
 from torch import Tensor
 
 from angie.config import preset
-from angie.generators.angie.tokenizer import VQConfig, VQMotionExtractor
 from mraa.affine import (
     MAX_AXIS_RATIO,
     MIN_AXIS,
@@ -169,22 +169,8 @@ def check_training(steps: int, seed: int, size: int = 64) -> None:
         torch.nn.utils.clip_grad_norm_(renderer.parameters(), training.clip)
         optimizer.step()
     check_weights(renderer, "renderer")
-    vq = VQMotionExtractor(VQConfig(regions=2, width=16, codes=1, code_width=8))
-    adam_vq = torch.optim.Adam(vq.parameters(), 1e-3)
-    for step in range(steps - steps // 2):
-        deltas = torch.zeros(4, 96, 10)
-        if step % 3 == 1:
-            deltas += torch.randn(4, 1, 10) * 1e4
-        elif step % 3 == 2:
-            deltas[:, step % 96] = 1e6
-        made = vq(deltas)
-        loss = (made.deltas - deltas).abs().mean() + made.commitment + made.latent
-        check(loss.isfinite(), f"tokeniser's loss at step {step}")
-        adam_vq.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(vq.parameters(), 1.0)
-        adam_vq.step()
-    check_weights(vq, "tokeniser")
+    for name, values in hostile_training(steps - steps // 2):
+        check(values.isfinite(), name)
 
 
 def check_weights(model: torch.nn.Module, name: str) -> None:

@@ -126,6 +126,11 @@ def read_style(style: str, speakers: Sequence[str], size: int) -> dict[str, floa
     Raises:
         BadInput: none of these.
     """
+    if not size and style not in speakers and set(style) & set(":,"):
+        raise BadInput(
+            f"--style {style}: not a speaker of this model, which knows styles by name alone "
+            f"({', '.join(speakers)})"
+        )
     if style in speakers or not size:
         return {known(style, speakers): 1.0}
     parts = style.split(",")

@@ -4,9 +4,8 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
-OWN = ("angie/generators/angie/", "angie/generators/__init__.py", "scripts/check_numbers.py")
-"""ANGIE's folder, the registry, and what feeds its networks with hostile numbers; scripts that
-measure ANGIE itself end in `_angie.py`."""
+OWN = ("angie/generators/angie/", "angie/generators/__init__.py")
+"""ANGIE's folder and the registry; scripts that measure ANGIE itself end in `_angie.py`."""
 
 NETWORKS = re.compile(
     r"generators\.angie\b|angie\.(vq|gpt|refiner)\b|\b(vq|gpt|refiner)\.\w|\"(vq|gpt|refiner)\""
